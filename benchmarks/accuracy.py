@@ -35,6 +35,7 @@ from dual_ur10.cli.demo_report.sine import ASYMMETRIC_CELL, PERTURBED_CELL, TASK
 from dual_ur10.envs.tasks.sine_tracking.settings import SineSettings
 from dual_ur10.envs.tasks.sine_tracking.task import SineTracking
 from dual_ur10.kinematics.frames import to_base
+from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.policies.evaluation.accuracy import accuracy
 from dual_ur10.sim2real.control.adapter import ServojAdapter
 from dual_ur10.sim2real.control.clearance import Clearance
@@ -80,13 +81,13 @@ def cycle(calls: int) -> dict[str, float]:
     world = np.asarray(settings.center_m) + along
     positions = np.einsum("aij,kaj->kai", from_cell, world - base_m)
     down = np.broadcast_to(np.diag([1.0, -1.0, -1.0]), (2, 3, 3)).copy()
-    q = kinematics.nearest(positions[0], down, HOME_Q_RAD)
+    q = kinematics.nearest(positions[0], down, HOME_Q_RAD, NOMINAL_DH)
     pipeline.reset(q[None])
 
     spent = np.empty((calls, 2))
     for call, position in enumerate(positions):
         begun = time.perf_counter()
-        q = kinematics.nearest(position, down, q)
+        q = kinematics.nearest(position, down, q, NOMINAL_DH)
         solved = time.perf_counter()
         _, refused = pipeline(q)
         done = time.perf_counter()

@@ -17,6 +17,7 @@ from dual_ur10.kinematics.frames import ArmMount, to_base
 from dual_ur10.kinematics.inverse import nearest
 from dual_ur10.kinematics.poses import Poses, compose
 from dual_ur10.kinematics.rotations import quat_to_matrix
+from dual_ur10.kinematics.ur10 import NOMINAL_DH
 
 AMPLITUDE_M, FREQUENCY_HZ, DURATION_S, RAMP_S = 0.1, 0.5, 12.0, 2.0  # of the swing
 LOWER_S = 4.0
@@ -66,9 +67,9 @@ def swing(q_rad: Any, arms: Sequence[int] = (0, 1)) -> ArmsPath:
     away = AMPLITUDE_M * ramp * np.sin(2 * np.pi * FREQUENCY_HZ * times)
     joints = np.tile(np.asarray(q_rad), (len(times), 1, 1))
     for arm in arms:
-        position, rotation = flange_pose(q_rad[arm])
+        position, rotation = flange_pose(q_rad[arm], NOMINAL_DH)
         wanted = position + away[:, None] * np.array([0.0, 1.0, 0.0])
-        joints[:, arm] = nearest(wanted, np.broadcast_to(rotation, (len(times), 3, 3)), joints[:, arm])
+        joints[:, arm] = nearest(wanted, np.broadcast_to(rotation, (len(times), 3, 3)), joints[:, arm], NOMINAL_DH)
     return ArmsPath(joints, RAMP_S)
 
 

@@ -38,7 +38,7 @@ from dual_ur10.envs import make_follower
 from dual_ur10.envs.core.follower import home_of
 from dual_ur10.kinematics.forward import flange_pose
 from dual_ur10.kinematics.poses import Poses
-from dual_ur10.kinematics.ur10 import ARMS
+from dual_ur10.kinematics.ur10 import ARMS, NOMINAL_DH
 from dual_ur10.sim2real.control.link_profiles import profile_for
 from dual_ur10.sim2real.links.link_socket import LinkSocket
 from dual_ur10.sim2real.links.rtde_link import RtdeLink
@@ -140,7 +140,7 @@ def figures(seen: list[tuple[Any, Any]], path: ArmsPath, rate: float, mounts: Mo
         away = []
         for arm, (time_s, q) in enumerate(seen):
             wanted = path(rate * (time_s - begin_s))[:, arm]
-            away.append(np.linalg.norm(flange_pose(q)[0] - flange_pose(wanted)[0], axis=-1))
+            away.append(np.linalg.norm(flange_pose(q, NOMINAL_DH)[0] - flange_pose(wanted, NOMINAL_DH)[0], axis=-1))
         return np.concatenate(away)
 
     moved = np.abs(seen[0][1] - seen[0][1][0]).max(axis=1) > 1e-3

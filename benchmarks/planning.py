@@ -27,6 +27,7 @@ from dual_ur10.assets.obstacles import Box
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.errors import PlanningError, TrajectoryError
 from dual_ur10.kinematics import flange_pose, nearest
+from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import MotionLimits
@@ -66,7 +67,7 @@ def free_pairs(clearance: Clearance, count: int, rng: np.random.Generator) -> It
 
 def approach_passes(path: Array, clearance: Clearance) -> bool:
     """Return True if the gate releases a slow approach along a path."""
-    targets = Approach(path, rates=Rates().within(LIMITS, 1.0)).targets(PROFILE.tick_s).reshape(-1, 12)
+    targets = Approach(path, rates=Rates(LIMITS.robots).within(LIMITS, 1.0)).targets(PROFILE.tick_s).reshape(-1, 12)
     gate = SafetyGate(LIMITS, PROFILE.tick_s, TICKS, clearance)
     gate.reset(path[:1].reshape(1, 2, 6))
     rest = np.repeat(targets[-1:], -len(targets) % TICKS + TICKS, axis=0)
@@ -126,9 +127,9 @@ def sine(duration_s: float = 10.0, amplitude_m: float = 0.1, rate_hz: float = 0.
     wanted = amplitude_m * ramp**3 * (10 - 15 * ramp + 6 * ramp**2) * np.sin(2 * np.pi * rate_hz * time_s)
     q = np.empty((len(time_s), 2, 6))
     for arm, here in enumerate(np.array(HOME_Q_RAD)):
-        position, rotation = flange_pose(here)
+        position, rotation = flange_pose(here, NOMINAL_DH)
         for k, away in enumerate(wanted):
-            q[k, arm] = here = nearest(position + away * np.eye(3)[1], rotation, here)
+            q[k, arm] = here = nearest(position + away * np.eye(3)[1], rotation, here, NOMINAL_DH)
     speeds = np.gradient(q, time_s, axis=0)
     speeds[[0, -1]] = 0.0
     return JointTrajectory(("left", "right"), time_s, q, speeds)

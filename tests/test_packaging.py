@@ -189,6 +189,17 @@ def test_imports_run_downwards():
     assert climbing == set()
 
 
+def test_no_function_takes_an_arm_for_a_ur10():
+    found = []
+    for path in sorted((ROOT / "dual_ur10").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.FunctionDef):
+                defaults = [each for each in (*node.args.defaults, *node.args.kw_defaults) if each is not None]
+                if any(re.search(r"NOMINAL_DH|ur10\b", ast.unparse(each)) for each in defaults):
+                    found.append(node.name)
+    assert found == ["default_mount"]  # of the default cell, whose arms are UR10s
+
+
 @pytest.mark.parametrize(
     "room",
     ["control", "config", "protocol", "links", "processes", "peripherals", "commissioning", "runtime", "recording"],

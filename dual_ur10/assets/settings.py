@@ -159,9 +159,7 @@ class Equipment:
         object.__setattr__(self, "grip_force_n", force)
 
 
-def stability_number(
-    gains: str, timestep_s: float, mass_scale: float = 1.0, robots: Collection[str] = ("ur10",)
-) -> float:
+def stability_number(gains: str, timestep_s: float, mass_scale: float = 1.0, *, robots: Collection[str]) -> float:
     """Return an upper bound, over all configurations, of the largest eigenvalue of M^-1 (2 h kv + h² kp).
 
     Explicit integration of the servos diverges if it reaches 4.
@@ -178,7 +176,7 @@ def stability_number(
 
 
 def check_integrator(
-    integrator: str, gains: str, timestep_s: float, mass_scale: float = 1.0, robots: Collection[str] = ("ur10",)
+    integrator: str, gains: str, timestep_s: float, mass_scale: float = 1.0, *, robots: Collection[str]
 ) -> None:
     """Refuse "Euler" where it is unstable or close to it.
 
@@ -188,7 +186,7 @@ def check_integrator(
     """
     if integrator not in INTEGRATORS:
         raise UnknownNameError("integrator", str(integrator), INTEGRATORS)
-    number = stability_number(gains, timestep_s, mass_scale, robots)
+    number = stability_number(gains, timestep_s, mass_scale, robots=robots)
     if integrator == "Euler" and number > MOST_UNSTABLE:
         raise SettingsError(
             f'integrator="Euler" with gains={gains!r}, timestep_s={timestep_s:g} and masses times {mass_scale:g}: its '

@@ -46,7 +46,8 @@ def inverse_dynamics(
     payload_com_m: Sequence[float] = (0.0, 0.0, 0.0),
     gravity: bool = True,
     armature_kg_m2: float = 0.0,
-    robot: str = "ur10",
+    *,
+    robot: str,
 ) -> Array:
     """Return the joint torques of a motion of a nominal arm on an upright base, without friction.
 
@@ -80,7 +81,7 @@ def inverse_dynamics(
 
 
 def mass_matrix(
-    q_rad: ArrayLike, payload_kg: float = 0.0, payload_com_m: Sequence[float] = (0.0, 0.0, 0.0), robot: str = "ur10"
+    q_rad: ArrayLike, payload_kg: float = 0.0, payload_com_m: Sequence[float] = (0.0, 0.0, 0.0), *, robot: str
 ) -> Array:
     """Return the mass matrix, (6, 6) in kg m², of a nominal arm at joint angles (6,), without its rotors.
 

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from dual_ur10.errors import SettingsError
 from dual_ur10.kernel import Constants, call
 from dual_ur10.kinematics.rotations import quat_from_matrix
-from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters, nominal_dh
+from dual_ur10.kinematics.ur10 import DHParameters, nominal_dh
 from dual_ur10.types import Array
 
 
@@ -60,7 +60,7 @@ def checked_joints(q_rad: ArrayLike) -> Array:
     return q
 
 
-def flange_pose(q_rad: ArrayLike, dh: DHParameters = NOMINAL_DH) -> tuple[Array, Array]:
+def flange_pose(q_rad: ArrayLike, dh: DHParameters) -> tuple[Array, Array]:
     """Return the flange pose in ``base``.
 
     Args:
@@ -90,13 +90,13 @@ def _matrices(values: Array) -> Array:
     return matrices
 
 
-def flange_pose_quat(q_rad: ArrayLike, dh: DHParameters = NOMINAL_DH) -> tuple[Array, Array]:
+def flange_pose_quat(q_rad: ArrayLike, dh: DHParameters) -> tuple[Array, Array]:
     """Return the flange pose in ``base`` as position (..., 3) and quaternion (..., 4), w >= 0; see ``flange_pose``."""
     position, rotation = flange_pose(q_rad, dh)
     return position, quat_from_matrix(rotation)
 
 
-def jacobian(q_rad: ArrayLike, dh: DHParameters = NOMINAL_DH) -> Array:
+def jacobian(q_rad: ArrayLike, dh: DHParameters) -> Array:
     """Return the geometric Jacobian of the flange in ``base``.
 
     Args:
@@ -119,7 +119,7 @@ def pose_and_jacobian(q: Array, dh: DHParameters) -> tuple[Array, Array, Array]:
     return block[..., 6:9], _matrices(block[..., 9:18]), block[..., 18:].reshape(*q.shape[:-1], 6, 6)
 
 
-def elbow_and_flange_position(q_rad: ArrayLike, robot: str = "ur10") -> tuple[Array, Array]:
+def elbow_and_flange_position(q_rad: ArrayLike, robot: str) -> tuple[Array, Array]:
     """Return the positions of elbow and flange of a nominal arm, in ``base``.
 
     Args:
@@ -136,9 +136,7 @@ def elbow_and_flange_position(q_rad: ArrayLike, robot: str = "ur10") -> tuple[Ar
     return points[..., 0, :], points[..., 1, :]
 
 
-def elbow_flange_and_tcp(
-    q_rad: Array, tcp_m: Sequence[Sequence[float]], robots: tuple[str, str] = ("ur10", "ur10")
-) -> Array:
+def elbow_flange_and_tcp(q_rad: Array, tcp_m: Sequence[Sequence[float]], robots: tuple[str, str]) -> Array:
     """Return the positions of elbow, flange and tool centre point of both nominal arms.
 
     Args:

@@ -15,7 +15,7 @@ from dual_ur10.errors import SettingsError, UnreachableError
 from dual_ur10.kernel import Constants, call
 from dual_ur10.kinematics.closed_form import EDGE, closed_form, coefficients, pose_block, within
 from dual_ur10.kinematics.forward import checked_joints, pose_and_jacobian
-from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD, NOMINAL_DH, DHParameters
+from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD, DHParameters
 from dual_ur10.types import Array, Mask, constant
 
 _TWO_PI: Final = 2 * np.pi
@@ -80,7 +80,7 @@ def _solve(position: Array, rotation: Array, dh: DHParameters, reference: Array 
     A calibrated arm near a singularity can lose a branch, as two starts meet in one solution. With a reference, the
     solution found from there becomes a ninth.
     """
-    nominal = dh is NOMINAL_DH or dh.is_nominal
+    nominal = dh.is_nominal
     branches = closed_form(position, rotation, dh, reference)
     valid = within(branches, EDGE if nominal else _CALIBRATED_EDGE)
     if nominal:
@@ -141,7 +141,7 @@ def _checked(
 def inverse(
     position: ArrayLike,
     rotation: ArrayLike,
-    dh: DHParameters = NOMINAL_DH,
+    dh: DHParameters,
     reference_q_rad: ArrayLike | None = None,
 ) -> tuple[Array, Mask]:
     """Return all joint angles that put the flange at given poses in ``base``.
@@ -174,7 +174,7 @@ def try_nearest(
     position: ArrayLike,
     rotation: ArrayLike,
     reference_q_rad: ArrayLike,
-    dh: DHParameters = NOMINAL_DH,
+    dh: DHParameters,
 ) -> tuple[Array, Mask]:
     """Return the joint angles nearest to a reference that put the flange at given poses in ``base``.
 
@@ -192,7 +192,7 @@ def try_nearest(
     Raises:
         SettingsError: Wrong shapes, NaN or infinity, or no rotation matrix.
     """
-    if dh is NOMINAL_DH or dh.is_nominal:
+    if dh.is_nominal:
         batch, block = _block(position, rotation, reference_q_rad, 25)
         call("inverse_nearest", coefficients(dh), _LIMITS, block, len(block))
         if np.count_nonzero(block[:, 24] < 0.0):
@@ -210,7 +210,7 @@ def nearest(
     position: ArrayLike,
     rotation: ArrayLike,
     reference_q_rad: ArrayLike,
-    dh: DHParameters = NOMINAL_DH,
+    dh: DHParameters,
 ) -> Array:
     """Return the joint angles nearest to a reference; like ``try_nearest``, but every pose must be in reach.
 

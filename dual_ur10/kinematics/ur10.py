@@ -6,7 +6,7 @@ kg m².
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Final
 
@@ -113,11 +113,11 @@ class DHParameters:
             arm's and forearm's parallel axes, d2 and d3, may shift freely against each other in a UR calibration.
     """
 
-    a_m: tuple[float, ...] = _UR10.a_m
-    d_m: tuple[float, ...] = _UR10.d_m
+    a_m: tuple[float, ...]
+    d_m: tuple[float, ...]
     alpha_rad: tuple[float, ...] = tuple(ALPHA_RAD.tolist())
     theta_rad: tuple[float, ...] = (0.0,) * 6
-    robot: str = _UR10.name
+    robot: str = field(kw_only=True)
 
     def __post_init__(self) -> None:
         model = robot_model(self.robot)
@@ -146,7 +146,8 @@ class DHParameters:
     @property
     def is_nominal(self) -> bool:
         """True for the nominal parameters of its model."""
-        return self == nominal_dh(self.robot)
+        nominal = nominal_dh(self.robot)
+        return self is nominal or self == nominal
 
 
 _CALIBRATION: Final = 0.05

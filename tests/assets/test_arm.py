@@ -156,7 +156,7 @@ def test_stability_numbers_bound_sampled_configurations(model):
     for name in GAINS:
         for timestep_s in (0.001, 0.002):
             sampled = eigenvalues(model, name, timestep_s, configurations)
-            numbers[name, timestep_s] = stability_number(name, timestep_s)
+            numbers[name, timestep_s] = stability_number(name, timestep_s, robots=("ur10",))
             assert 0.9 * numbers[name, timestep_s] < sampled.max() <= numbers[name, timestep_s]
     assert numbers["compliant", 0.001] < MOST_UNSTABLE < min(numbers["compliant", 0.002], numbers["stiff", 0.001])
 
@@ -164,7 +164,7 @@ def test_stability_numbers_bound_sampled_configurations(model):
 def test_euler_keeps_stable_with_the_lightest_sampled_masses():
     """An episode may sample half of the masses, of a plant that is as light as Euler allows."""
     model = build_model(SceneSettings())
-    light = stability_number("compliant", 0.001) / MOST_UNSTABLE / 2
+    light = stability_number("compliant", 0.001, robots=("ur10",)) / MOST_UNSTABLE / 2
     model.body_mass[:] *= light
     model.body_inertia[:] *= light
     configurations = np.random.default_rng(1).uniform(-np.pi, np.pi, (3000, 6))

@@ -23,7 +23,7 @@ from dual_ur10.assets.scene import build_model, compose
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.errors import CollisionAtStartError, SettingsError
 from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.ur10 import ARMS, LINKS
+from dual_ur10.kinematics.ur10 import ARMS, LINKS, NOMINAL_DH
 from dual_ur10.sim2real.control.adapter import ServojAdapter
 from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate
@@ -226,7 +226,7 @@ def test_the_gate_refuses_a_motion_into_an_obstacle(obstacle: Obstacle) -> None:
     push[0, 0, 1] = 0.6  # the left arm leans forward, the right one does not move
     refused, motion = [], []
     for obstacles, periods in (((), 5), ((obstacle,), 40)):
-        adapter = ServojAdapter(ServojProfile("cb3"), HARD, 5, n=1)
+        adapter = ServojAdapter(ServojProfile("cb3"), HARD, 5, n=1, dh=[NOMINAL_DH] * 2)
         adapter.reset(HOME_Q_RAD[None])
         gate = gate_of(SceneSettings(obstacles=obstacles))
         for period in range(periods):

@@ -14,7 +14,7 @@ from dual_ur10.assets.scene import build_model, sensor_slices
 from dual_ur10.assets.settings import HOME_Q_RAD, PROPS, Equipment, SceneSettings
 from dual_ur10.errors import UnknownNameError
 from dual_ur10.kinematics.rotations import quat_to_matrix
-from dual_ur10.kinematics.ur10 import ARMS
+from dual_ur10.kinematics.ur10 import ARMS, NOMINAL_DH
 from tests.sim2real.control.reference_cell import angle, site_pose
 
 STEPS = np.linspace(0.0, 0.1, 51)  # m, heights of a lift
@@ -25,7 +25,7 @@ def configurations(settings, arm, tcp_m, quat):
     orientation = quat_to_matrix(np.array(quat))
     flange = np.asarray(tcp_m) - orientation[:, 2] * TCP_M - settings.mounts[arm].position_m
     position, rotation = kinematics.to_base_link(flange, orientation)
-    return np.array([kinematics.nearest(each, rotation, HOME_Q_RAD[arm]) for each in position])
+    return np.array([kinematics.nearest(each, rotation, HOME_Q_RAD[arm], NOMINAL_DH) for each in position])
 
 
 class Rig:

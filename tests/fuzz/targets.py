@@ -272,7 +272,7 @@ def primary_client(data: bytes) -> None:
     for piece in pieces(data):
         reader.feed(piece)
         if reader.facts is not None:
-            reader.facts.dh()
+            reader.facts.dh("ur10")
 
 
 @target(SettingsError)

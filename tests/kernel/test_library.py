@@ -18,6 +18,7 @@ from dual_ur10 import kernel, kinematics
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.errors import KernelError
 from dual_ur10.kernel import Constants, Struct
+from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import Envelope, MotionLimits
 from tests.sim2real.control.motion_checks import AlwaysClear
@@ -129,7 +130,7 @@ def test_constants_keep_their_own_memory(tmp_path: Path) -> None:
     """A pickled task goes on in another process, where no former address holds."""
     file = tmp_path / "tasks"
     tasks = [EnvSetup.resolve(name, {}).make_task() for name in ("SineTracking", "SyncCarry", "Handover")]
-    poses = kinematics.flange_pose(np.zeros(6))[0]
+    poses = kinematics.flange_pose(np.zeros(6), NOMINAL_DH)[0]
     file.write_bytes(pickle.dumps((tasks, Constants(poses))))
     code = (
         "import pickle, sys, numpy as np; tasks, constants = pickle.loads(open(sys.argv[1], 'rb').read())\n"

@@ -55,4 +55,5 @@ def calibration(seed: int, exchange_m: float = 0.0) -> DHParameters:
         tuple(d),
         tuple(DH_ALPHA_RAD + rng.uniform(-3e-3, 3e-3, 6)),
         tuple(rng.uniform(-3e-3, 3e-3, 6)),
+        robot="ur10",
     )

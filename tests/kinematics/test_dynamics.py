@@ -56,7 +56,7 @@ def test_inverse_dynamics_matches_mujoco(robot: str, payload: float, com: tuple[
 
 def test_largest_gravity_torques() -> None:
     q, zero = random_q(4000, 19), np.zeros(6)
-    torque = np.abs(kinematics.inverse_dynamics(q, zero, zero)).max(0)
+    torque = np.abs(kinematics.inverse_dynamics(q, zero, zero, robot="ur10")).max(0)
     assert torque[0] < 1e-12  # the base axis is upright
     # The largest torque of the random configurations is a little below the largest of all.
     for joint, largest, short in ((1, 121.0, 6.0), (2, 41.0, 2.0), (3, 3.0, 0.3), (4, 0.6, 0.06)):
@@ -65,8 +65,8 @@ def test_largest_gravity_torques() -> None:
 
 def test_armature_adds_to_the_inertia_alone() -> None:
     q, qd, qdd = random_q(3, 20), random_q(3, 21), random_q(3, 22)
-    bare = kinematics.inverse_dynamics(q, qd, qdd)
-    geared = kinematics.inverse_dynamics(q, qd, qdd, armature_kg_m2=0.1)
+    bare = kinematics.inverse_dynamics(q, qd, qdd, robot="ur10")
+    geared = kinematics.inverse_dynamics(q, qd, qdd, armature_kg_m2=0.1, robot="ur10")
     np.testing.assert_allclose(geared - bare, 0.1 * qdd, atol=1e-12)
 
 
@@ -74,4 +74,4 @@ def test_payloads_are_checked() -> None:
     zero = np.zeros(6)
     for payload, com in ((-1.0, (0, 0, 0)), (np.nan, (0, 0, 0)), (1.0, (0, np.inf, 0))):
         with pytest.raises(SettingsError, match="payload"):
-            kinematics.inverse_dynamics(zero, zero, zero, payload, com)
+            kinematics.inverse_dynamics(zero, zero, zero, payload, com, robot="ur10")

@@ -21,7 +21,7 @@ TWO_PI = 2 * np.pi
 def test_every_random_pose_is_solved_within_the_range(limit: np.ndarray) -> None:
     q = random_q(1000, 6, limit)
     position, rotation = independent_pose(q)
-    found, ok = kinematics.try_nearest(position, rotation, np.zeros((1000, 6)))
+    found, ok = kinematics.try_nearest(position, rotation, np.zeros((1000, 6)), NOMINAL_DH)
     assert ok.all()
     assert (np.abs(found) <= JOINT_RANGE_RAD).all()
     assert_reaches(found, position, rotation)
@@ -30,7 +30,7 @@ def test_every_random_pose_is_solved_within_the_range(limit: np.ndarray) -> None
 def test_all_branches_are_right_and_different() -> None:
     q = random_q(1000, 7, np.full(6, np.pi))
     position, rotation = independent_pose(q)
-    solutions, valid = kinematics.inverse(position, rotation)
+    solutions, valid = kinematics.inverse(position, rotation, NOMINAL_DH)
     assert valid.any(-1).all()
     assert set(valid.sum(-1)) <= {2, 4, 6, 8}
     assert (valid.sum(-1) == 8).mean() > 0.5
@@ -48,7 +48,7 @@ def test_all_branches_are_right_and_different() -> None:
 
 
 def test_branches_keep_their_order() -> None:
-    solutions, valid = kinematics.inverse(*independent_pose(random_q(200, 8)))
+    solutions, valid = kinematics.inverse(*independent_pose(random_q(200, 8)), dh=NOMINAL_DH)
     index = np.broadcast_to(np.arange(8), valid.shape)[valid]
     assert ((solutions[valid][:, 2] >= 0) == (index < 4)).all()
     assert ((solutions[valid][:, 4] >= 0) == (index % 4 < 2)).all()
@@ -58,8 +58,8 @@ def test_nearest_is_the_nearest_of_all_branches_and_turns() -> None:
     rng = np.random.default_rng(9)
     q, reference = random_q(40, 9), rng.uniform(-JOINT_RANGE_RAD, JOINT_RANGE_RAD, (40, 6))
     position, rotation = independent_pose(q)
-    found = kinematics.nearest(position, rotation, reference)
-    solutions, valid = kinematics.inverse(position, rotation)
+    found = kinematics.nearest(position, rotation, reference, NOMINAL_DH)
+    solutions, valid = kinematics.inverse(position, rotation, NOMINAL_DH)
     turns = np.stack(np.meshgrid(*[(-1, 0, 1)] * 6, indexing="ij"), -1).reshape(-1, 6) * TWO_PI
     for row in range(40):
         every = (solutions[row, valid[row]][:, None] + turns).reshape(-1, 6)
@@ -76,7 +76,7 @@ joint_angles = st.tuples(*(st.floats(-limit, limit) for limit in JOINT_RANGE_RAD
 def test_nearest_stays_on_the_reference(angles: tuple[float, ...]) -> None:
     q = np.array(angles)
     position, rotation = independent_pose(q)
-    found = kinematics.nearest(position, rotation, q)
+    found = kinematics.nearest(position, rotation, q, NOMINAL_DH)
     assert (np.abs(found) <= JOINT_RANGE_RAD).all()
     assert_reaches(found, position, rotation, tolerance=1e-7)
     # Rounding of the pose by e moves theta6 by e over the sine of theta5; where the elbow is stretched or the wrist
@@ -91,14 +91,14 @@ def test_a_path_through_the_wrist_singularity_is_followed() -> None:
     position, rotation = independent_pose(q)
     now = q[0]
     for row in range(201):
-        now = kinematics.nearest(position[row], rotation[row], now)
+        now = kinematics.nearest(position[row], rotation[row], now, NOMINAL_DH)
         assert np.abs(now - q[row]).max() < 1e-6
 
 
 @pytest.mark.parametrize("end", [TWO_PI, -TWO_PI])
 def test_the_ends_of_the_joint_range_are_kept(end: float) -> None:
     q = np.array([end, -1.2, 1.4, end, 0.9, end])
-    found = kinematics.nearest(*independent_pose(q), q)
+    found = kinematics.nearest(*independent_pose(q), q, dh=NOMINAL_DH)
     np.testing.assert_allclose(found, q, atol=1e-8)
     assert (np.abs(found) <= JOINT_RANGE_RAD).all()
 
@@ -107,13 +107,13 @@ def test_turns_follow_the_reference_but_not_past_the_range() -> None:
     q = np.array([0.5, -1.2, 1.4, 0.5, 0.9, -3.0])
     position, rotation = independent_pose(q)
     turned = q + TWO_PI * np.array([-1, 1, 0, -1, -1, 1])
-    np.testing.assert_allclose(kinematics.nearest(position, rotation, turned), turned, atol=1e-9)
+    np.testing.assert_allclose(kinematics.nearest(position, rotation, turned, NOMINAL_DH), turned, atol=1e-9)
     # The solution one rotation on is nearest to these references, but past the range.
     for joint, at in ((0, 0.5), (2, 3.0), (5, 0.5)):
         q[joint] = at
         position, rotation = independent_pose(q)
         beyond = q - TWO_PI * np.eye(6)[joint] * (1 if joint == 2 else -1)
-        found = kinematics.nearest(position, rotation, beyond)
+        found = kinematics.nearest(position, rotation, beyond, NOMINAL_DH)
         assert (np.abs(found) <= JOINT_RANGE_RAD).all()
         assert_reaches(found, position, rotation)
 
@@ -132,11 +132,11 @@ SINGULAR = {
 def test_singular_poses_are_solved(name: str) -> None:
     q = np.array(SINGULAR[name])
     position, rotation = independent_pose(q)
-    solutions, valid = kinematics.inverse(position, rotation, reference_q_rad=q)
+    solutions, valid = kinematics.inverse(position, rotation, reference_q_rad=q, dh=NOMINAL_DH)
     assert valid.any()
     for solution in solutions[valid]:
         assert_reaches(solution, position, rotation, tolerance=1e-7)
-    found = kinematics.nearest(position, rotation, q)
+    found = kinematics.nearest(position, rotation, q, NOMINAL_DH)
     assert_reaches(found, position, rotation, tolerance=1e-7)
     assert np.abs(found - q).max() < 1e-6
 
@@ -148,8 +148,10 @@ def test_poses_beside_two_singularities_are_solved() -> None:
     q[:, 4] = 10.0 ** rng.uniform(-16, -2, 2000)
     q[:, 2] = 10.0 ** rng.uniform(-16, -2, 2000)
     position, rotation = independent_pose(q)
-    assert_reaches(kinematics.nearest(position, rotation, random_q(2000, 11)), position, rotation, tolerance=1e-7)
-    found = kinematics.nearest(position, rotation, q)
+    assert_reaches(
+        kinematics.nearest(position, rotation, random_q(2000, 11), NOMINAL_DH), position, rotation, tolerance=1e-7
+    )
+    found = kinematics.nearest(position, rotation, q, NOMINAL_DH)
     assert_reaches(found, position, rotation, tolerance=1e-7)
     assert np.abs(found - q).max() < 1e-5
 
@@ -160,11 +162,11 @@ def test_wrist_over_the_base_axis_is_solved() -> None:
     reach = DH_A_M[1] + DH_A_M[2] * np.exp(1j * q[2]) + DH_D_M[4] * np.exp(1j * (q[2] + q[3] - np.pi / 2))
     q[1] = np.pi / 2 - np.angle(reach)
     position, rotation = independent_pose(q)
-    solutions, valid = kinematics.inverse(position, rotation)
+    solutions, valid = kinematics.inverse(position, rotation, NOMINAL_DH)
     assert valid.any()
     for solution in solutions[valid]:
         assert_reaches(solution, position, rotation, tolerance=1e-7)
-    assert np.abs(kinematics.nearest(position, rotation, q) - q).max() < 1e-6
+    assert np.abs(kinematics.nearest(position, rotation, q, NOMINAL_DH) - q).max() < 1e-6
 
 
 def test_a_free_theta6_is_the_references() -> None:
@@ -172,11 +174,11 @@ def test_a_free_theta6_is_the_references() -> None:
     position, rotation = independent_pose(q)
     for theta6 in (-2.0, 0.0, 1.0):
         reference = np.array([*q[:5], theta6])
-        solutions, valid = kinematics.inverse(position, rotation, reference_q_rad=reference)
+        solutions, valid = kinematics.inverse(position, rotation, reference_q_rad=reference, dh=NOMINAL_DH)
         free = solutions[valid & (np.abs(solutions[:, 4]) < 1e-9)]
         assert np.abs(free[:, 5] - theta6).min() < 1e-12
-        assert_reaches(kinematics.nearest(position, rotation, reference), position, rotation)
-    alone, valid = kinematics.inverse(position, rotation)
+        assert_reaches(kinematics.nearest(position, rotation, reference, NOMINAL_DH), position, rotation)
+    alone, valid = kinematics.inverse(position, rotation, NOMINAL_DH)
     assert np.abs(alone[valid][:, 5]).min() == 0.0
 
 
@@ -190,7 +192,7 @@ def test_calibrated_arms_are_solved(exchange_m: float) -> None:
     assert_reaches(found, position, rotation, dh)
     assert np.median(np.abs(found - q).max(-1)) < 1e-10
     # And it matters: the nominal solution misses by mm.
-    nominal, ok = kinematics.try_nearest(position, rotation, q)
+    nominal, ok = kinematics.try_nearest(position, rotation, q, NOMINAL_DH)
     assert np.linalg.norm(independent_pose(nominal[ok], dh)[0] - position[ok], axis=-1).max() > 1e-3
 
 
@@ -215,7 +217,7 @@ def test_too_far_is_named() -> None:
     position, rotation = independent_pose(q)
     position[3] = [2.0, 0.0, 0.5]
     with pytest.raises(UnreachableError, match=r"1 of 5 .*row 3.*2\.0000, 0\.0000, 0\.5000") as caught:
-        kinematics.nearest(position, rotation, q)
+        kinematics.nearest(position, rotation, q, NOMINAL_DH)
     message = str(caught.value)
     assert "0.0397 to 1.1843 m" in message
     needed = re.search(r"have to be (\d\.\d+) m", message)
@@ -227,7 +229,7 @@ def test_too_far_is_named() -> None:
 def test_too_close_to_the_axis_is_named() -> None:
     down = np.diag([1.0, -1.0, -1.0])
     with pytest.raises(UnreachableError, match=r"is 0\.1000 m from the base's vertical axis.*least 0\.1639 m"):
-        kinematics.nearest([0.1, 0.0, 0.6], down, np.zeros(6))
+        kinematics.nearest([0.1, 0.0, 0.6], down, np.zeros(6), NOMINAL_DH)
     with pytest.raises(UnreachableError, match="out of reach"):
         kinematics.nearest([2.0, 0.0, 0.6], down, np.zeros(6), calibration(1))
 
@@ -240,7 +242,7 @@ def test_try_nearest_holds_the_reference() -> None:
         found, ok = kinematics.try_nearest(position, rotation, q, dh)
         assert not ok[1]
         np.testing.assert_array_equal(found[1], q[1])
-    assert kinematics.try_nearest(position, rotation, q)[1].tolist() == [True, False, True]
+    assert kinematics.try_nearest(position, rotation, q, NOMINAL_DH)[1].tolist() == [True, False, True]
 
 
 @pytest.mark.parametrize("solve", [kinematics.nearest, kinematics.try_nearest])
@@ -264,6 +266,6 @@ def test_nan_is_refused(solve: object, bad: float) -> None:
 
 def test_wrong_shapes_and_no_rotation_are_refused() -> None:
     with pytest.raises(SettingsError, match=r"\(\.\.\., 3\)"):
-        kinematics.inverse(np.zeros(4), np.eye(3))
+        kinematics.inverse(np.zeros(4), np.eye(3), NOMINAL_DH)
     with pytest.raises(SettingsError, match="no rotation matrix"):
-        kinematics.inverse(np.zeros(3), 1.1 * np.eye(3))
+        kinematics.inverse(np.zeros(3), 1.1 * np.eye(3), NOMINAL_DH)

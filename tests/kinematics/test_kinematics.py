@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -54,7 +55,7 @@ def test_flange_pose_matches_pinocchio_in_base_and_base_link(urdf_style: tuple[p
     model, base, tool = urdf_style
     data = model.createData()
     q = random_q(1000, 1)
-    position, rotation = kinematics.flange_pose(q)
+    position, rotation = kinematics.flange_pose(q, NOMINAL_DH)
     position_link, rotation_link = kinematics.to_base_link(position, rotation)
     for row, angles in enumerate(q):
         pin.framesForwardKinematics(model, data, angles)
@@ -68,15 +69,15 @@ def test_flange_pose_matches_pinocchio_in_base_and_base_link(urdf_style: tuple[p
 
 def test_known_configuration() -> None:
     # Arm straight out along -x of base, tool along -y: signs of the table, derived by hand.
-    position, rotation = kinematics.flange_pose(np.zeros(6))
+    position, rotation = kinematics.flange_pose(np.zeros(6), NOMINAL_DH)
     np.testing.assert_allclose(position, [-0.612 - 0.5723, -0.163941 - 0.0922, 0.1273 - 0.1157], atol=1e-15)
     np.testing.assert_allclose(rotation[:, 2], [0, -1, 0], atol=1e-15)
 
 
 def test_quaternion_pose_is_the_same_pose() -> None:
     q = random_q(100, 2).reshape(4, 25, 6)
-    position, rotation = kinematics.flange_pose(q)
-    also, quat = kinematics.flange_pose_quat(q)
+    position, rotation = kinematics.flange_pose(q, NOMINAL_DH)
+    also, quat = kinematics.flange_pose_quat(q, NOMINAL_DH)
     np.testing.assert_array_equal(position, also)
     assert quat.shape == (4, 25, 4)
     expected = Rotation.from_matrix(rotation.reshape(-1, 3, 3))
@@ -89,12 +90,12 @@ def test_quaternion_pose_is_the_same_pose() -> None:
 
 def test_batch_shape_does_not_matter() -> None:
     q = random_q(30, 3)
-    position, rotation = kinematics.flange_pose(q.reshape(2, 3, 5, 6))
-    np.testing.assert_allclose(position[1, 2, 4], kinematics.flange_pose(q[29])[0], atol=1e-15)
-    assert kinematics.jacobian(q.reshape(2, 3, 5, 6)).shape == (2, 3, 5, 6, 6)
-    found = kinematics.nearest(position, rotation, q.reshape(2, 3, 5, 6))
+    position, rotation = kinematics.flange_pose(q.reshape(2, 3, 5, 6), NOMINAL_DH)
+    np.testing.assert_allclose(position[1, 2, 4], kinematics.flange_pose(q[29], NOMINAL_DH)[0], atol=1e-15)
+    assert kinematics.jacobian(q.reshape(2, 3, 5, 6), NOMINAL_DH).shape == (2, 3, 5, 6, 6)
+    found = kinematics.nearest(position, rotation, q.reshape(2, 3, 5, 6), NOMINAL_DH)
     np.testing.assert_allclose(found[1, 2, 4], q[29], atol=1e-9)
-    assert kinematics.inverse(position, rotation)[0].shape == (2, 3, 5, 8, 6)
+    assert kinematics.inverse(position, rotation, NOMINAL_DH)[0].shape == (2, 3, 5, 8, 6)
 
 
 @pytest.mark.parametrize("dh", [NOMINAL_DH, calibration(2)], ids=["nominal", "calibrated"])
@@ -112,9 +113,9 @@ def test_jacobian_matches_differences(dh: DHParameters) -> None:
 
 def test_elbow_and_flange_position() -> None:
     q = random_q(1000, 5).reshape(10, 2, 50, 6)
-    elbow, flange = kinematics.elbow_and_flange_position(q)
-    assert np.abs(flange - kinematics.flange_pose(q)[0]).max() < 1e-12
-    bare = DHParameters(d_m=(float(DH_D_M[0]), 0, 0, float(DH_D_M[3]), *DH_D_M[4:].tolist()))
+    elbow, flange = kinematics.elbow_and_flange_position(q, "ur10")
+    assert np.abs(flange - kinematics.flange_pose(q, NOMINAL_DH)[0]).max() < 1e-12
+    bare = replace(NOMINAL_DH, d_m=(float(DH_D_M[0]), 0, 0, float(DH_D_M[3]), *DH_D_M[4:].tolist()))
     upper = [np.eye(4)] * 1000
     for joint in range(2):
         upper = [
@@ -133,12 +134,12 @@ def _link(dh: DHParameters, joint: int, angle: float) -> np.ndarray:
 @pytest.mark.parametrize(
     "function",
     [
-        kinematics.flange_pose,
-        kinematics.flange_pose_quat,
-        kinematics.jacobian,
-        kinematics.elbow_and_flange_position,
-        lambda q: elbow_flange_and_tcp(q, np.zeros((2, 3))),
-        lambda q: kinematics.nearest(np.zeros(3), np.eye(3), q),
+        lambda q: kinematics.flange_pose(q, NOMINAL_DH),
+        lambda q: kinematics.flange_pose_quat(q, NOMINAL_DH),
+        lambda q: kinematics.jacobian(q, NOMINAL_DH),
+        lambda q: kinematics.elbow_and_flange_position(q, "ur10"),
+        lambda q: elbow_flange_and_tcp(q, np.zeros((2, 3)), ("ur10", "ur10")),
+        lambda q: kinematics.nearest(np.zeros(3), np.eye(3), q, NOMINAL_DH),
     ],
 )
 def test_six_joints_are_needed(function, shape: tuple[int, ...]) -> None:

@@ -55,7 +55,7 @@ def test_all_models_of_the_three_generations_are_there() -> None:
     assert ROBOTS["ur10"].joint_torque_nm == REFERENCE_TORQUE_NM
     assert ROBOTS["ur10"].radius_ratio == (1.0, 1.0, 1.0)
     assert ROBOTS["ur10"].hard_speed_rad_s.tolist() == [1.68, 1.68, 2.51, 2.51, 2.51, 2.51]
-    assert DHParameters() == ur10.NOMINAL_DH
+    assert ur10.nominal_dh("ur10") is ur10.NOMINAL_DH
     for name, lengths in FROM_OTHERS.items():
         assert ROBOTS[name].lengths_m[: len(lengths)] == lengths
 
@@ -163,12 +163,12 @@ def test_unknown_models_and_parameters_of_another_model_are_refused() -> None:
         with pytest.raises(UnknownNameError, match="robot model"):
             robot_model(name)  # type: ignore[arg-type]
     with pytest.raises(UnknownNameError, match="'ur5e'"):
-        DHParameters(robot="ur6")
+        dataclasses.replace(ur10.NOMINAL_DH, robot="ur6")
     ur10e = nominal_dh("ur10e")
     with pytest.raises(SettingsError, match=r"UR10's 0\.1273"):
         dataclasses.replace(ur10e, robot="ur10")
     with pytest.raises(SettingsError, match="UR5e's"):
-        DHParameters(robot="ur5e")
+        dataclasses.replace(ur10.NOMINAL_DH, robot="ur5e")
     dataclasses.replace(ur10e, a_m=(0.0, -0.6627, *ur10e.a_m[2:]))
     with pytest.raises(SettingsError, match=r"UR10e's -0\.6127"):
         dataclasses.replace(ur10e, a_m=(0.0, -0.6629, *ur10e.a_m[2:]))

@@ -110,11 +110,11 @@ def write_bases(
     cell = load_cell_file(target)
     text = target.read_bytes().decode("utf-8")
     left, right = cell.arms
-    mount = found.mount(left.mount)
+    mount = found.mount(left.mount, right.mount.dh)
     left_at = left.base_position_m or ZERO
     position, yaw = tuple(round(each, _DIGITS) for each in mount.position_m), round(mount.yaw_rad, _DIGITS)
     position_m, rotation_rad = found.mount_uncertainty
-    relative = found.mount(ArmMount((0.0, 0.0, 0.0)))
+    relative = found.mount(ArmMount(ZERO), right.mount.dh)
     base_to_base = BaseToBase(
         position_m=tuple(round(each, _DIGITS) for each in relative.position_m),  # type: ignore[arg-type]  # three
         yaw_rad=round(relative.yaw_rad, _DIGITS),

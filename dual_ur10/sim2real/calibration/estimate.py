@@ -17,7 +17,7 @@ import numpy as np
 
 from dual_ur10.errors import CalibrationError
 from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters
+from dual_ur10.kinematics.ur10 import DHParameters
 from dual_ur10.sim2real.calibration.directions import LEVER_M, SCALES, Direction, weakest
 from dual_ur10.sim2real.calibration.equations import Equations
 from dual_ur10.sim2real.calibration.observations import Noise, Observation
@@ -148,7 +148,7 @@ class BaseEstimate:
         position_m, rotation_rad = self.mount_uncertainty
         return position_m + LEVER_M * rotation_rad
 
-    def mount(self, left: ArmMount, dh: DHParameters = NOMINAL_DH) -> ArmMount:
+    def mount(self, left: ArmMount, dh: DHParameters) -> ArmMount:
         """Return the right arm's mount in the cell in which the left one stands as given.
 
         Raises:
@@ -156,7 +156,7 @@ class BaseEstimate:
         """
         place = (base_in_cell(left) @ self.pose)[:3, 3]
         yaw = math.remainder(left.yaw_rad + self.yaw_rad, 2 * math.pi)
-        return ArmMount(tuple(map(float, place)), yaw, dh)  # type: ignore[arg-type]  # three of them
+        return ArmMount(tuple(map(float, place)), yaw, dh, dh.robot)  # type: ignore[arg-type]  # three of them
 
 
 class _Fit(NamedTuple):

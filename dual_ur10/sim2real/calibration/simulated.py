@@ -25,13 +25,15 @@ _ELBOW_UP: Final = np.array([0.0, -1.2, 1.6, -2.0, -1.57, 0.0])
 
 
 def random_dh(rng: np.random.Generator) -> DHParameters:
-    """Return the kinematics of an arm as built: 1 mm and 1 mrad from the nominal ones, one standard deviation.
+    """Return the kinematics of a UR10 as built: 1 mm and 1 mrad from the nominal ones, one standard deviation.
 
     Their flange is some millimetres beside that of the nominal arm, as the flanges of UR's arms are.
     """
     a, d = (each + rng.normal(0.0, _LENGTH_ERROR_M, 6) for each in (DH_A_M, DH_D_M))
     alpha, theta = (each + rng.normal(0.0, _ANGLE_ERROR_RAD, 6) for each in (DH_ALPHA_RAD, np.zeros(6)))
-    return DHParameters(tuple(a.tolist()), tuple(d.tolist()), tuple(alpha.tolist()), tuple(theta.tolist()))
+    return DHParameters(
+        tuple(a.tolist()), tuple(d.tolist()), tuple(alpha.tolist()), tuple(theta.tolist()), robot="ur10"
+    )
 
 
 def touched(

@@ -47,7 +47,7 @@ class _Frame(BaseModel):
 _FILE: Final = TypeAdapter(dict[str, _Frame])
 
 
-def read(path: str | Path, robot: str = "ur10") -> DHParameters:
+def read(path: str | Path, robot: str) -> DHParameters:
     """Read the kinematics of an arm.
 
     Args:
@@ -90,7 +90,7 @@ def _frames(values: Any, source: str) -> list[Array]:
     return [frames[name].pose for name in FRAMES]
 
 
-def of_frames(frames: list[Array], robot: str = "ur10") -> DHParameters:
+def of_frames(frames: list[Array], robot: str) -> DHParameters:
     """Return the Denavit-Hartenberg parameters of a chain of link frames.
 
     Args:

@@ -384,9 +384,9 @@ class CellConfig:
         lightest = float(np.min(self.perturbation.mass_scale))
         integrator = self.integrator
         if integrator is None:
-            number = stability_number(scene.gains, scene.timestep_s, lightest, self.robots)
+            number = stability_number(scene.gains, scene.timestep_s, lightest, robots=self.robots)
             integrator = "Euler" if number <= MOST_UNSTABLE else "implicitfast"
-        check_integrator(integrator, scene.gains, scene.timestep_s, lightest, self.robots)
+        check_integrator(integrator, scene.gains, scene.timestep_s, lightest, robots=self.robots)
         return replace(scene, integrator=integrator)
 
     @property

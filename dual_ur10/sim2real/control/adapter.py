@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from dual_ur10.errors import UnknownNameError
 from dual_ur10.kernel import RowLoop, Struct
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_to_matrix
-from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters
+from dual_ur10.kinematics.ur10 import DHParameters
 from dual_ur10.sim2real.control import path
 from dual_ur10.sim2real.control.cartesian_step import goal_of_step
 from dual_ur10.sim2real.control.limits import HISTORY, Envelope, MotionLimits
@@ -113,7 +113,7 @@ class ServojAdapter:
         mode: ActionMode = "joint_delta",
         gripper: bool = False,
         compensate_lag: bool = True,
-        dh: Sequence[DHParameters] = (NOMINAL_DH, NOMINAL_DH),
+        dh: Sequence[DHParameters],
         tcp_m: float = 0.0,
         yaw_rad: Sequence[float] = (0.0, 0.0),
         speed_factor: float = 1.0,

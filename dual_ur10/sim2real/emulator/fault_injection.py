@@ -24,7 +24,7 @@ from pydantic import BaseModel, ConfigDict, Field, InstanceOf, ValidationError, 
 
 from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply
-from dual_ur10.kinematics.ur10 import ARMS, DHParameters
+from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.emulator.arm_server import ArmServer, RtdePeer
 from dual_ur10.sim2real.emulator.link_faults import MAX_LATE_S, LinkFaults
 from dual_ur10.sim2real.emulator.mujoco_world import EmulatedWorld
@@ -336,9 +336,7 @@ class FaultInjection:
         """Report a calibration that is off by this much."""
         server = self._arm(arm)
         dh = server.controller.dh
-        off = DHParameters(
-            tuple(each + error_m * bool(each) for each in dh.a_m), dh.d_m, dh.alpha_rad, dh.theta_rad, dh.robot
-        )
+        off = dataclasses.replace(dh, a_m=tuple(each + error_m * bool(each) for each in dh.a_m))
         server.pretend(server.shown, off)
 
     def do_shutdown(self) -> None:

@@ -15,7 +15,7 @@ from dual_ur10.envs.sim.physics import Physics
 from dual_ur10.envs.sim.servo_reference import Motion
 from dual_ur10.envs.sim.torque_control import Torques
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.kinematics.ur10 import ARMS, DHParameters
+from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import CellConfig, CellState
 from dual_ur10.sim2real.emulator.controller import ArmReading
 from dual_ur10.sim2real.emulator.motion import JointTorques
@@ -251,6 +251,6 @@ def _with_dh_errors(config: CellConfig, most_m: float, rng: np.random.Generator)
         mount = getattr(config, arm)
         a_m = np.asarray(mount.dh.a_m) + rng.uniform(-most_m, most_m, 6) * (np.asarray(mount.dh.a_m) != 0.0)
         d_m = np.asarray(mount.dh.d_m) + rng.uniform(-most_m, most_m, 6) * (np.asarray(mount.dh.d_m) != 0.0)
-        dh = DHParameters(tuple(a_m), tuple(d_m), mount.dh.alpha_rad, mount.dh.theta_rad, mount.robot)
+        dh = dataclasses.replace(mount.dh, a_m=tuple(a_m), d_m=tuple(d_m))
         mounts[arm] = dataclasses.replace(mount, dh=dh)
     return dataclasses.replace(config, **mounts)

@@ -47,7 +47,7 @@ class PrimaryFacts(NamedTuple):
     alpha_rad: tuple[float, ...]
     safety_checksum: int | None = None
 
-    def dh(self, robot: str = "ur10") -> DHParameters:
+    def dh(self, robot: str) -> DHParameters:
         """Return the parameters of this arm.
 
         Args:
@@ -56,7 +56,7 @@ class PrimaryFacts(NamedTuple):
         Raises:
             SettingsError: They are not those of this model.
         """
-        return DHParameters(self.a_m, self.d_m, self.alpha_rad, self.theta_rad, robot)
+        return DHParameters(self.a_m, self.d_m, self.alpha_rad, self.theta_rad, robot=robot)
 
 
 def read_primary(

@@ -41,20 +41,20 @@ class Rates:
     """Largest rates of an approach in real time.
 
     Attributes:
+        robots: Models of the left and the right arm.
         speed_rad_s: Joint speed.
         tcp_speed_m_s: Cartesian speed of flange, elbow and tool centre point.
         acceleration_rad_s2: Joint acceleration.
         jerk_rad_s3: Joint jerk.
         tcp_m: Tool centre point of the left and the right arm in its flange's frame.
-        robots: Models of the left and the right arm.
     """
 
+    robots: tuple[str, str]
     speed_rad_s: float = SPEED_RAD_S
     tcp_speed_m_s: float = TCP_SPEED_M_S
     acceleration_rad_s2: float = ACCELERATION_RAD_S2
     jerk_rad_s3: float = math.inf
     tcp_m: tuple[Vector3, Vector3] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    robots: tuple[str, str] = ("ur10", "ur10")
 
     def capped(self, config: CellConfig) -> Rates:
         """Return these rates capped by a cell's limits."""
@@ -66,13 +66,13 @@ class Rates:
     def within(self, limits: MotionLimits, speed_factor: float) -> Rates:
         """Return these rates capped by what the safety gate releases under limits in task time."""
         return Rates(
+            limits.robots,
             min(self.speed_rad_s, _SPEED_FRACTION * min(limits.speed_rad_s) * speed_factor),
             min(self.tcp_speed_m_s, _SPEED_FRACTION * limits.tcp_speed_m_s * speed_factor),
             # Half of it, as the brake may begin while the arms still accelerate.
             min(self.acceleration_rad_s2, limits.acceleration_rad_s2 / 2 * speed_factor**2),
             min(self.jerk_rad_s3, limits.jerk_rad_s3 / 2 * speed_factor**3),
             limits.tcp_m,
-            limits.robots,
         )
 
 
@@ -92,17 +92,17 @@ class Approach:
 
     Args:
         parts: (k, 12) configurations at the ends of the parts.
-        speed_factor: Rate of task time in real time; the approach takes the same real time at any.
         rates: Largest rates in real time.
+        speed_factor: Rate of task time in real time; the approach takes the same real time at any.
         detour: Reason why the path is not straight; empty: it is.
     """
 
     def __init__(
-        self, parts: Sequence[Array] | Array, speed_factor: float = 1.0, rates: Rates | None = None, detour: str = ""
+        self, parts: Sequence[Array] | Array, rates: Rates, speed_factor: float = 1.0, detour: str = ""
     ) -> None:
         self.parts: Array = np.array(parts)
         self.detour = detour
-        self._speed_factor, self._rates = speed_factor, rates or Rates()
+        self._speed_factor, self._rates = speed_factor, rates
         self.durations_s = [self._duration_s(*ends) for ends in itertools.pairwise(self.parts)]
 
     @property
@@ -139,8 +139,8 @@ def plan(
     q_rad: Array,
     goal_rad: Array,
     clearance: Clearance,
+    rates: Rates,
     speed_factor: float = 1.0,
-    rates: Rates | None = None,
     *,
     limits: MotionLimits | None = None,
     arms: Sequence[str] = ARMS,
@@ -153,8 +153,8 @@ def plan(
         q_rad: (2, 6) current configuration.
         goal_rad: (2, 6) goal.
         clearance: Computes distances.
-        speed_factor: See `Approach`.
         rates: See `Approach`.
+        speed_factor: See `Approach`.
         limits: Limits whose joint range holds; None: the widest.
         arms: Arms that move.
 
@@ -175,4 +175,4 @@ def plan(
     except PlanningError as error:
         raise StartError(f"the arms cannot move from where they are to the start of the task: {error}") from None
     detour = nearest_on_straight(clearance, start, goal) if len(parts) > 2 else ""
-    return Approach(parts, speed_factor, rates, detour)
+    return Approach(parts, rates, speed_factor, detour)

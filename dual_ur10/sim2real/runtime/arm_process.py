@@ -41,16 +41,16 @@ class ArmConnection:
         name: "left" or "right".
         host: Address of its controller.
         servoj: Settings of `servoj`.
-        rt_priority: Real-time priority of its process; 0: none.
         robot: Model of the arm.
+        rt_priority: Real-time priority of its process; 0: none.
         emulated: The controller is emulated: it runs on this machine.
     """
 
     name: str
     host: str
     servoj: ServojProfile
+    robot: str
     rt_priority: int = 0
-    robot: str = "ur10"
     emulated: bool = False
 
     def __post_init__(self) -> None:

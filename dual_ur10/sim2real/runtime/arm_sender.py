@@ -128,11 +128,11 @@ class ArmSender:
         cell: CellMemory,
         others: Sequence[ArmMemory] = (),
         *,
+        robot: str,
         parent: int | None = None,
         supervised: bool = True,
         leader: ArmMemory | None = None,
         round_trip_s: float = 0.0,
-        robot: str = "ur10",
         emulated: bool = False,
         system: System = LOCAL,
     ) -> None:

@@ -238,9 +238,9 @@ class RtdeCell:
             StartError: See `reset`.
         """
         factor = self.file.speed_factor
-        rates = Rates().capped(self.config).within(self._limits, factor)
+        rates = Rates(self.config.robots).capped(self.config).within(self._limits, factor)
         arms = ARMS if self._only is None else (ARMS[self._only],)
-        approach = plan(now, goal, self._clearance, factor, rates, limits=self._limits, arms=arms)
+        approach = plan(now, goal, self._clearance, rates, factor, limits=self._limits, arms=arms)
         self._ask(self._question(approach, start))
         runner.check()  # the confirmation may have taken minutes
         self._open_grippers(runner, start)

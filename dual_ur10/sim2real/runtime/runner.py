@@ -106,7 +106,7 @@ class Runner:
             settings = MonitorSettings((config.left, config.right), self.tick_s, coupled, emulated)
             with interrupts_deferred():  # no process without its being known here
                 for arm, (name, entry) in enumerate(zip(ARMS, file.arms, strict=True)):
-                    connection = ArmConnection(name, entry.host, entry.profile, file.rt_priority, entry.robot, emulated)
+                    connection = ArmConnection(name, entry.host, entry.profile, entry.robot, file.rt_priority, emulated)
                     others = (self.arms[1 - arm],)
                     self.processes.append(ArmProcess(connection, self.arms[arm], self.cell, others, system=system))
                 self.supervisor = SupervisorProcess(file, settings, self.arms, self.cell, system=system)

@@ -15,7 +15,7 @@ import numpy as np
 
 from dual_ur10.errors import ClosedError, SettingsError, StartError, TrajectoryError
 from dual_ur10.kinematics.forward import flange_pose
-from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters
+from dual_ur10.kinematics.ur10 import DHParameters
 from dual_ur10.sim2real.config.cell import Cell
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate
@@ -71,7 +71,7 @@ class TrajectoryExecutor(Closing):
         clearance: Clearance,
         *,
         latency_ticks: int = 0,
-        dh: Sequence[DHParameters] = (NOMINAL_DH, NOMINAL_DH),
+        dh: Sequence[DHParameters],
         proximity: ProximityScaling | None = None,
         on_close: Callable[[], None] | None = None,
     ) -> None:

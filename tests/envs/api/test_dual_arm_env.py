@@ -20,7 +20,7 @@ from dual_ur10.envs import dm_env, parallel_env
 from dual_ur10.envs.core.setup import load_task
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.ur10 import JOINTS
+from dual_ur10.kinematics.ur10 import JOINTS, NOMINAL_DH
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.config.perturbation import Perturbation
 from tests.soak import scaled
@@ -277,7 +277,7 @@ def test_observations_match_the_table():
         observation, _, _, _, info = env.step(action)
     arms = env.unwrapped.task.layout.split(observation)
     assert np.array_equal(arms["q_rad"], info["q_rad"])
-    position, rotation = flange_pose(arms["q_rad"])
+    position, rotation = flange_pose(arms["q_rad"], NOMINAL_DH)
     assert np.allclose(arms["flange_base_m"], position, atol=1e-9)
     for arm, mount in enumerate((cell.left, cell.right)):
         from_base = np.array(
@@ -558,12 +558,12 @@ def test_other_action_modes(mode):
 def test_tcp_delta_rotates_about_the_tool_centre_point_of_the_task(env_id, tcp_m):
     env = gym.make(env_id, action_mode="tcp_delta")
     _, info = env.reset(seed=0)
-    before, start = flange_pose(info["q_rad"])
+    before, start = flange_pose(info["q_rad"], NOMINAL_DH)
     action = np.zeros(env.action_space.shape, dtype=np.float32).reshape(2, -1)
     action[:, 3:6] = [[0.5, 0.2, -0.5], [-0.5, 0.4, 0.3]]
     for k in range(30):
         info = env.step((action if k < 20 else 0.0 * action).reshape(-1))[4]
-    after, end = flange_pose(info["q_rad"])
+    after, end = flange_pose(info["q_rad"], NOMINAL_DH)
     assert np.linalg.norm(end - start, axis=(1, 2)).min() > 0.2
     assert np.abs(after + tcp_m * end[..., 2] - before - tcp_m * start[..., 2]).max() < 5e-4
     env.close()

@@ -15,7 +15,7 @@ from dual_ur10.errors import ClosedError, SettingsError, UnknownNameError
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.dynamics import inverse_dynamics
 from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.ur10 import ARMS, LINK_MASS_KG, LINKS
+from dual_ur10.kinematics.ur10 import ARMS, LINK_MASS_KG, LINKS, NOMINAL_DH
 from dual_ur10.sim2real.config.cell import CellConfig, Start
 from dual_ur10.sim2real.config.perturbation import Perturbation
 from dual_ur10.sim2real.control.adapter import Command
@@ -143,7 +143,7 @@ def test_a_wrong_lookahead_and_a_latency_enter_the_law():
 def test_the_state_is_of_this_instant():
     _, cell = run(periods=20)
     state = cell.advance(Command(wave(20))).state
-    position, _ = flange_pose(state.q_rad)
+    position, _ = flange_pose(state.q_rad, NOMINAL_DH)
     assert np.abs(state.qd_rad_s).max() > 0.05
     assert np.abs(state.flange_base_m - position).max() < 1e-9
     assert state.time_s.tolist() == [21 * TICKS * 0.008]
@@ -159,14 +159,14 @@ def droop(**perturbation):
 
 def test_unmodelled_masses_make_the_arms_droop():
     # 5 % of the gravity torque over the servo's stiffness: gravity compensation uses the nominal arm.
-    gravity = inverse_dynamics(HOME_Q_RAD, np.zeros((2, 6)), np.zeros((2, 6)))
+    gravity = inverse_dynamics(HOME_Q_RAD, np.zeros((2, 6)), np.zeros((2, 6)), robot="ur10")
     stiffness = np.array([20000, 20000, 10000, 3000, 3000, 3000])
     assert np.allclose(droop(mass_scale=1.05), -0.05 * gravity / stiffness, atol=2e-7)
     assert np.abs(droop()).max() < 1e-9
 
 
 def test_payload_droops_unless_declared():
-    gravity = [inverse_dynamics(HOME_Q_RAD, *np.zeros((2, 2, 6)), payload_kg=mass) for mass in (0.0, 3.0)]
+    gravity = [inverse_dynamics(HOME_Q_RAD, *np.zeros((2, 2, 6)), payload_kg=mass, robot="ur10") for mass in (0.0, 3.0)]
     stiffness = np.array([20000, 20000, 10000, 3000, 3000, 3000])
     assert np.allclose(droop(payload_kg=3.0), -(gravity[1] - gravity[0]) / stiffness, atol=2e-5)
     assert np.abs(droop(payload_kg=3.0, declared_payload_kg=3.0)).max() < 1e-7
@@ -356,7 +356,7 @@ def test_bases_stand_at_their_mounts():
     config = CellConfig(left=ArmMount((-0.6, 0.7, 0.1), 0.4))
     cell = MujocoCell(config, TICKS)
     state = cell.reset(Start(home())).state
-    position, _ = flange_pose(HOME_Q_RAD[0])
+    position, _ = flange_pose(HOME_Q_RAD[0], NOMINAL_DH)
     turn = np.array([[np.cos(0.4), -np.sin(0.4), 0], [np.sin(0.4), np.cos(0.4), 0], [0, 0, 1]]) @ np.diag([-1, -1, 1])
     assert np.allclose(state.flange_m[0, 0], turn @ position + (-0.6, 0.7, 0.1), atol=1e-9)
 

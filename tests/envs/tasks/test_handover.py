@@ -10,6 +10,7 @@ from dual_ur10.kinematics import flange_pose_quat
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.poses import yaw_quat
 from dual_ur10.kinematics.rotations import quat_to_matrix, rotate
+from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.config.cell import CellConfig
 from tests.soak import scaled
 
@@ -305,7 +306,7 @@ def test_observation_is_what_the_table_says():
         action[[6, 13]] = 0.0, 0.5
         step = core.step(action.astype(np.float32))
     arms, state = core.task.layout.split(step.observation[0]), core._state
-    position, quat = flange_pose_quat(state.q_rad[0])
+    position, quat = flange_pose_quat(state.q_rad[0], NOMINAL_DH)
     assert np.allclose(arms["flange_base_m"], position, atol=1e-6)
     assert np.allclose(np.abs((arms["flange_base_quat"] * quat).sum(axis=1)), 1.0)
     assert arms["gripper_m"].ravel().tolist() == state.gripper_m[0].tolist()

@@ -19,6 +19,7 @@ from dual_ur10.envs.tasks.task import gaussian
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.frames import ArmMount, Frames, to_base
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_to_matrix
+from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.config.cell import CellConfig
 
 
@@ -133,7 +134,7 @@ def test_the_observed_step_leads_the_commanded_flanges_to_their_references():
     for _ in range(20):
         observation = core.step(rng.uniform(-1.0, 1.0, (2, 12))).observation
     fields = core.task.layout.split(observation)
-    at, turned = flange_pose(fields["commanded_q_rad"])
+    at, turned = flange_pose(fields["commanded_q_rad"], NOMINAL_DH)
     assert np.abs(at + fields["step_m"] - fields["ahead_base_m"]).max() < 1e-12
     angle = np.linalg.norm(fields["step_rad"], axis=-1)
     assert angle.min() > 0.01

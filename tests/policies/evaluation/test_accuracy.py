@@ -16,6 +16,7 @@ from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics import nearest
 from dual_ur10.kinematics.frames import ArmMount, to_base
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply, quat_to_matrix
+from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.policies.evaluation.accuracy import (
     accuracy,
     along_axis,
@@ -44,7 +45,7 @@ def made(position: Array, reference: Array, rotvec_rad: Array | None = None) -> 
         rotation = quat_to_matrix(quat_multiply(quat_from_rotvec(rotvec), TOOL_DOWN_QUAT))
         near = HOME_Q_RAD[arm]
         for k, point in enumerate((position[:, arm] - base_m[arm]) @ from_cell[arm].T):
-            near = q[k, arm] = nearest(point, rotation, near)
+            near = q[k, arm] = nearest(point, rotation, near, NOMINAL_DH)
     nothing = np.full(position.shape, np.nan)  # the simulator's flange positions must have no effect
     return Record(PERIOD_S, MOUNTS, q, nothing, np.zeros(len(position)), True, reference_m=reference)
 

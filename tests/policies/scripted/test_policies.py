@@ -1,5 +1,6 @@
 import subprocess
 import sys
+from dataclasses import replace
 from functools import partial
 
 import gymnasium as gym
@@ -12,7 +13,7 @@ from dual_ur10.envs.sim.mujoco_cell import MujocoCell
 from dual_ur10.envs.tasks.sine_tracking.task import SineTracking
 from dual_ur10.envs.tasks.sync_carry.task import SyncCarry
 from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.ur10 import DH_A_M, DHParameters
+from dual_ur10.kinematics.ur10 import DH_A_M, NOMINAL_DH
 from dual_ur10.policies.scripted.lag_model import DeviationModel
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.config.perturbation import TYPICAL_PERTURBATION
@@ -187,8 +188,10 @@ def test_success_over_random_episodes():
 
 
 def test_calibrated_arms_are_tracked_as_well():
-    measured = DHParameters(
-        a_m=tuple(np.add(DH_A_M, (0, 0.001, -0.0015, 0, 0, 0))), theta_rad=(0.001, -0.002, 0.001, 0, 0.002, 0)
+    measured = replace(
+        NOMINAL_DH,
+        a_m=tuple(np.add(DH_A_M, (0, 0.001, -0.0015, 0, 0, 0))),
+        theta_rad=(0.001, -0.002, 0.001, 0, 0.002, 0),
     )
     cell = CellConfig(left=ArmMount((-0.75, 0.6, 0.0), dh=measured))
     env = gym.make(SINE, cell=cell, duration_s=3.0)

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from dual_ur10.errors import CalibrationError
 from dual_ur10.kinematics.frames import ArmMount
+from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.calibration.estimate import BaseEstimate, estimate
 from dual_ur10.sim2real.calibration.observations import BarPose, BoardView, Noise, Touch
 from dual_ur10.sim2real.calibration.simulated import bar_poses, board_views, random_dh
@@ -191,7 +192,7 @@ def test_the_mount_stands_where_the_estimate_does(yaw, x, turn):
     six = np.eye(6)
     direction = None
     found = BaseEstimate(pose, 1e-8 * six, 18, 1.0, (), {}, 1e8 * six, 1e8 * six, direction)
-    mount = found.mount(left)
+    mount = found.mount(left, NOMINAL_DH)
     np.testing.assert_allclose(mount.position_m, right.position_m, atol=1e-12)
     assert math.remainder(mount.yaw_rad - turn, 2 * math.pi) == pytest.approx(0.0, abs=1e-12)
     assert not found.is_tilted

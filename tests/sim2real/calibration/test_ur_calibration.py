@@ -32,7 +32,7 @@ def written(path, frames):
 
 
 def test_the_nominal_file_is_the_nominal_arm(tmp_path):
-    found = read(written(tmp_path / "ur10.yaml", NOMINAL))
+    found = read(written(tmp_path / "ur10.yaml", NOMINAL), "ur10")
     q = np.random.default_rng(0).uniform(-3.0, 3.0, (50, 6))
     np.testing.assert_allclose(flange(q, found), flange(q, NOMINAL_DH), atol=1e-9)
 
@@ -54,7 +54,7 @@ def test_a_calibrated_chain_is_converted_exactly(seed):
     rng = np.random.default_rng(seed)
     given = random_dh(rng)
     given = type(given)((*given.a_m[:5], 0.0), given.d_m, (*given.alpha_rad[:5], 0.0), given.theta_rad)
-    found = of_frames(chain_of(given))
+    found = of_frames(chain_of(given), "ur10")
     q = rng.uniform(-3.0, 3.0, (20, 6))
     np.testing.assert_allclose(flange(q, found), flange(q, given), atol=1e-9)
 
@@ -69,7 +69,7 @@ def test_a_calibrated_chain_is_converted_exactly(seed):
 )
 def test_other_chains_are_refused(tmp_path, name, six, error, text):
     with pytest.raises(error, match=text):
-        read(written(tmp_path / "ur.yaml", {**NOMINAL, name: six}))
+        read(written(tmp_path / "ur.yaml", {**NOMINAL, name: six}), "ur10")
 
 
 @pytest.mark.parametrize(
@@ -86,4 +86,4 @@ def test_bad_files_are_refused(tmp_path, text, words):
     path = tmp_path / "bad.yaml"
     path.write_text(text)
     with pytest.raises(CalibrationError, match=words):
-        read(path)
+        read(path, "ur10")

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from dual_ur10.cli import main as cli
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.kinematics.robots import MODEL_OF_FAMILY
-from dual_ur10.kinematics.ur10 import DH_A_M, NOMINAL_DH, DHParameters, nominal_dh
+from dual_ur10.kinematics.ur10 import DH_A_M, NOMINAL_DH, nominal_dh
 from dual_ur10.sim2real.commissioning import doctor
 from dual_ur10.sim2real.commissioning.doctor import REGISTERS
 from dual_ur10.sim2real.commissioning.findings import (
@@ -371,7 +371,7 @@ def test_a_missing_safety_checksum_is_a_warning(wanted):
 
 
 def test_flange_errors_are_distances():
-    longer = DHParameters(a_m=(DH_A_M[0], DH_A_M[1] + 0.002, *DH_A_M[2:]))
+    longer = dataclasses.replace(NOMINAL_DH, a_m=(DH_A_M[0], DH_A_M[1] + 0.002, *DH_A_M[2:]))
     assert flange_error_m(NOMINAL_DH, NOMINAL_DH) == 0.0
     assert flange_error_m(longer, NOMINAL_DH) == pytest.approx(0.002, rel=1e-9)
 

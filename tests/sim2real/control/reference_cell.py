@@ -1,5 +1,7 @@
 """Independent reference cell: DH products, distances by hand, and unusual arms and mounts."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 
@@ -12,10 +14,13 @@ CALIBRATED = DHParameters(
     d_m=(0.1281, 0.004, -0.0035, 0.1632, 0.1163, 0.0919),
     alpha_rad=(1.5712, 0.0011, -0.0007, 1.5699, -1.5715, 0.0004),
     theta_rad=(0.001, -0.012, 0.02, -0.009, 0.0004, -0.0007),
+    robot="ur10",
 )
 # Only d2 + d3 + d4 can be observed, so a calibration may move the frames by metres.
-SHIFTED = DHParameters(
-    d_m=(0.1273, 2.0, -1.9985, 0.1624, 0.1157, 0.0922), alpha_rad=(np.pi / 2, 0.001, 0, np.pi / 2, -np.pi / 2, 0)
+SHIFTED = replace(
+    NOMINAL_DH,
+    d_m=(0.1273, 2.0, -1.9985, 0.1624, 0.1157, 0.0922),
+    alpha_rad=(np.pi / 2, 0.001, 0, np.pi / 2, -np.pi / 2, 0),
 )
 UNEQUAL = SceneSettings(
     left=ArmMount((-0.75, 0.6, 0.0), 0.3, CALIBRATED), right=ArmMount((-0.92, -0.45, 0.08), -2.1, NOMINAL_DH)

@@ -12,7 +12,7 @@ from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.errors import UnknownNameError
 from dual_ur10.kernel import call
 from dual_ur10.kinematics import flange_pose
-from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD, nominal_dh
+from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD, NOMINAL_DH, nominal_dh
 from dual_ur10.sim2real.control.adapter import (
     _NOW,
     GRIPPER_WIDTH_M,
@@ -373,7 +373,7 @@ def test_the_path_is_where_the_arm_is_also_after_a_limit_was_met(
 
 def test_bad_settings_are_refused() -> None:
     with pytest.raises(UnknownNameError, match="joint_delta"):
-        ServojAdapter(CB3, HARD, 5, mode="joint_velocity")  # type: ignore[arg-type]
+        ServojAdapter(CB3, HARD, 5, mode="joint_velocity", dh=[NOMINAL_DH] * 2)  # type: ignore[arg-type]
 
 
 def test_action_bounds_are_those_of_the_mode() -> None:
@@ -414,10 +414,10 @@ def test_tcp_delta_steps_along_the_axes_of_the_cell(arm: int, axis: int) -> None
     adapter = at_home(mode="tcp_delta", yaw_rad=yaw)
     action = np.zeros((1, 2, 6))
     action[0, arm, axis] = 0.4
-    start, turned = flange_pose(adapter.commanded_q_rad[0])
+    start, turned = flange_pose(adapter.commanded_q_rad[0], NOMINAL_DH)
     for _ in range(25):
         adapter(action)
-    end, turned_after = flange_pose(adapter.commanded_q_rad[0])
+    end, turned_after = flange_pose(adapter.commanded_q_rad[0], NOMINAL_DH)
     # `base` is rotated by π from base_link, which is rotated by the yaw in the cell.
     cos, sin = np.cos(yaw[arm] + np.pi), np.sin(yaw[arm] + np.pi)
     moved = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]) @ (end - start)[arm]
@@ -434,10 +434,10 @@ def test_tcp_delta_rotates_about_the_axes_of_the_cell(axis: int) -> None:
     adapter = at_home(mode="tcp_delta", yaw_rad=(0.7, 0.0))
     action = np.zeros((1, 2, 6))
     action[0, 0, 3 + axis] = 0.5
-    start = flange_pose(adapter.commanded_q_rad[0, 0])[1]
+    start = flange_pose(adapter.commanded_q_rad[0, 0], NOMINAL_DH)[1]
     for _ in range(25):
         adapter(action)
-    turn = flange_pose(adapter.commanded_q_rad[0, 0])[1] @ start.T
+    turn = flange_pose(adapter.commanded_q_rad[0, 0], NOMINAL_DH)[1] @ start.T
     vector = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
     cos, sin = np.cos(0.7 + np.pi), np.sin(0.7 + np.pi)
     in_cell = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]) @ vector
@@ -450,10 +450,10 @@ def test_tcp_delta_rotates_about_the_tool_centre_point(tcp_m: float) -> None:
     adapter = at_home(mode="tcp_delta", tcp_m=tcp_m)
     action = np.zeros((1, 2, 6))
     action[0, :, 3:] = [[0.5, 0.0, 0.2], [-0.3, 0.4, 0.0]]
-    start, turned = flange_pose(adapter.commanded_q_rad[0])
+    start, turned = flange_pose(adapter.commanded_q_rad[0], NOMINAL_DH)
     for _ in range(25):
         adapter(action)
-    end, turned_after = flange_pose(adapter.commanded_q_rad[0])
+    end, turned_after = flange_pose(adapter.commanded_q_rad[0], NOMINAL_DH)
     before, after = start + tcp_m * turned[..., 2], end + tcp_m * turned_after[..., 2]
     assert np.abs(after - before).max() < 1e-3
     assert np.linalg.norm(end - start, axis=1).min() >= 0.1 * tcp_m
@@ -559,7 +559,7 @@ def test_a_joint_at_its_limit_does_not_hold_the_others(compensate_lag: bool, mod
 
 
 def test_a_start_between_the_margin_and_the_limit_can_be_left() -> None:
-    adapter = ServojAdapter(CB3, NARROW, 5)
+    adapter = ServojAdapter(CB3, NARROW, 5, dh=[NOMINAL_DH] * 2)
     q = HOME_Q_RAD.copy()
     q[0, 2] = NARROW.upper_rad[2] - JOINT_MARGIN_RAD / 3
     adapter.reset(q[None])

@@ -25,7 +25,7 @@ def jacobian(q):
 
 @given(POSTURES)
 def test_the_condition_is_that_of_the_jacobian(q):
-    wanted = np.linalg.cond(jacobian(q))
+    wanted = np.linalg.cond(jacobian(q, NOMINAL_DH))
     near = wanted > 1e9
     np.testing.assert_allclose(condition(q, NOMINAL_DH)[~near], wanted[~near], rtol=1e-6)
     assert (condition(q, NOMINAL_DH)[near] > 1e8).all()
@@ -63,7 +63,7 @@ def test_rows_do_not_depend_on_each_other(q):
 def along(adapter, joint, way):
     """Return the action that rotates one joint of the left arm alone, as far as flange steps can."""
     q = adapter.commanded_q_rad[0, 0]
-    twist = jacobian(q)[:, joint] * way
+    twist = jacobian(q, NOMINAL_DH)[:, joint] * way
     twist[[0, 1, 3, 4]] *= -1.0  # `base` is rotated by π from the cell's frame
     fraction = np.concatenate([twist[:3] / TCP_STEP_M_S, twist[3:] / TCP_ROTATION_RAD_S])
     action = np.zeros((1, 2, 6))
@@ -73,7 +73,7 @@ def along(adapter, joint, way):
 
 @pytest.mark.parametrize(("joint", "at_rad"), SINGULARITIES.values(), ids=SINGULARITIES)
 def test_flange_steps_end_before_a_singularity_and_lead_back(joint, at_rad):
-    adapter = ServojAdapter(ServojProfile(), HARD, 5, mode="tcp_delta")
+    adapter = ServojAdapter(ServojProfile(), HARD, 5, mode="tcp_delta", dh=[NOMINAL_DH] * 2)
     adapter.reset(HOME_Q_RAD[None])
     way = np.sign(at_rad - HOME_Q_RAD[0, joint])
     conditions, steps, sent = [], [], []
@@ -105,7 +105,7 @@ def test_rotating_the_base_near_a_singularity_is_free():
 
 @pytest.mark.parametrize("period_ticks", [1, 5, 12])
 def test_an_arm_that_stretches_stops_before_it_is_singular(period_ticks):
-    adapter = ServojAdapter(ServojProfile(), HARD, period_ticks, mode="tcp_delta")
+    adapter = ServojAdapter(ServojProfile(), HARD, period_ticks, mode="tcp_delta", dh=[NOMINAL_DH] * 2)
     adapter.reset(HOME_Q_RAD[None])
     action = np.zeros((1, 2, 6))
     action[0, 0, 0] = 1.0  # away from the base
@@ -116,7 +116,7 @@ def test_an_arm_that_stretches_stops_before_it_is_singular(period_ticks):
 
 
 def test_a_flange_above_the_base_stops_before_it_is_singular():
-    adapter = ServojAdapter(ServojProfile(), HARD, 5, mode="tcp_delta")
+    adapter = ServojAdapter(ServojProfile(), HARD, 5, mode="tcp_delta", dh=[NOMINAL_DH] * 2)
     adapter.reset(HOME_Q_RAD[None])
     action = np.zeros((1, 2, 6))
     action[0, 0, 0] = -1.0  # towards the base

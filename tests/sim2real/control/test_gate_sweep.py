@@ -12,12 +12,13 @@ from dual_ur10.assets.collision_model import CLEARANCE_CUTOFF_M
 from dual_ur10.assets.obstacles import Box, Capsule, Plane
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.kernel import call
+from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.control.adapter import ServojAdapter
 from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance
 from dual_ur10.sim2real.control.gate import SWEEP_TOLERANCE_M, SafetyGate
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.control.servoj import ServojProfile
-from dual_ur10.sim2real.runtime.approach import plan, retreat_clearance
+from dual_ur10.sim2real.runtime.approach import Rates, plan, retreat_clearance
 from tests.sim2real.control.motion_checks import HARD, AlwaysClear, Measured
 from tests.sim2real.control.reference_cell import UNEQUAL, random_q
 
@@ -49,7 +50,7 @@ def driven(clearance, push, periods, n=1, ticks=5):
 
     What it pushes by, (n, 12) or (12,), may be a function of the period.
     """
-    adapter = ServojAdapter(ServojProfile("cb3"), HARD, ticks, n=n)
+    adapter = ServojAdapter(ServojProfile("cb3"), HARD, ticks, n=n, dh=[NOMINAL_DH] * 2)
     gate = SafetyGate(HARD, 0.008, ticks, clearance, n=n)
     start = np.tile(HOME_Q_RAD, (n, 1, 1))
     adapter.reset(start)
@@ -271,7 +272,7 @@ def test_arms_that_are_too_close_may_separate():
         for joint in (0, 6, 7):  # carries both, or neither
             goal = start.copy()
             goal[joint] += 0.3
-            targets = plan(start.reshape(2, 6), goal.reshape(2, 6), clearance).targets(0.008)
+            targets = plan(start.reshape(2, 6), goal.reshape(2, 6), clearance, Rates(HARD.robots)).targets(0.008)
             targets = targets[: len(targets) // 5 * 5].reshape(-1, 1, 5, 2, 6)
             gate = SafetyGate(HARD, 0.008, 5, retreat_clearance(clearance, start.reshape(2, 6)))
             gate.reset(start.reshape(1, 2, 6))
@@ -345,7 +346,7 @@ def test_a_distance_that_is_nan_refuses_wherever_it_is_measured():
     def passed(check):
         """Return the number of checks up to the end of each period before the refusal, if there is one."""
         post, checks = Blind(check), []
-        adapter = ServojAdapter(ServojProfile("cb3"), HARD, 5)
+        adapter = ServojAdapter(ServojProfile("cb3"), HARD, 5, dh=[NOMINAL_DH] * 2)
         gate = SafetyGate(HARD, 0.008, 5, post)
         adapter.reset(HOME_Q_RAD[None])
         gate.reset(HOME_Q_RAD[None])
@@ -371,7 +372,7 @@ def test_a_brake_that_takes_minutes_fits_any_stack():
     def drive():
         gate = SafetyGate(slow, 0.002, 20, Post(HOME[0] + WIDE_M + 1e-3))
         gate.reset(HOME_Q_RAD[None])
-        adapter = ServojAdapter(ServojProfile("e-series"), slow, 20)
+        adapter = ServojAdapter(ServojProfile("e-series"), slow, 20, dh=[NOMINAL_DH] * 2)
         adapter.reset(HOME_Q_RAD[None])
         for _ in range(400):
             found = gate(adapter(np.broadcast_to(TURN, (1, 12)).reshape(1, 2, 6)).targets_rad)

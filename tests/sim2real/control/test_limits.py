@@ -7,7 +7,7 @@ import pytest
 
 from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics import flange_pose
-from dual_ur10.kinematics.ur10 import HARD_SPEED_RAD_S, JOINT_RANGE_RAD, nominal_dh
+from dual_ur10.kinematics.ur10 import HARD_SPEED_RAD_S, JOINT_RANGE_RAD, NOMINAL_DH, nominal_dh
 from dual_ur10.sim2real.control.limits import HISTORY, POINTS, Envelope, MotionLimits, reach_from_joint_m
 from tests.sim2real.control.motion_checks import (
     HARD,
@@ -251,6 +251,6 @@ def test_flange_pose_of_the_checks_is_the_one_of_the_package() -> None:
     # The checks of these tests would pass on anything if their own Cartesian speed were wrong.
     q = np.zeros((1, 2, 2, 6))
     q[0, 1, 0, 0] = 0.001
-    moved = np.linalg.norm(flange_pose(q[0, 1, 0])[0] - flange_pose(q[0, 0, 0])[0])
+    moved = np.linalg.norm(flange_pose(q[0, 1, 0], NOMINAL_DH)[0] - flange_pose(q[0, 0, 0], NOMINAL_DH)[0])
     assert cartesian_speed(q, 0.008)[0, 0] == pytest.approx(moved / 0.008)
     assert_within(np.zeros((1, 6, 2, 6)), HARD, 0.008)

@@ -75,7 +75,7 @@ def test_a_slow_motion_along_each_path_passes_the_gate(clearance):
     rng = np.random.default_rng(2)
     for seed, (start, goal) in enumerate(free_pairs(clearance, scaled(60), rng)):
         path = plan_path(clearance, start, goal, LIMITS, np.random.default_rng(seed))
-        targets = Approach(path, rates=Rates(acceleration_rad_s2=0.1)).targets(0.008)
+        targets = Approach(path, rates=Rates(acceleration_rad_s2=0.1, robots=LIMITS.robots)).targets(0.008)
         gate = SafetyGate(LIMITS, 0.008, 5, clearance)
         gate.reset(start.reshape(1, 2, 6))
         for window in targets[: len(targets) // 5 * 5].reshape(-1, 1, 5, 2, 6):

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.kinematics import flange_pose
+from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.emulator.motion import Handle, Motion
 
 Array = NDArray[np.float64]
@@ -19,7 +20,7 @@ Q0 = np.array([0.3, -1.2, 1.5, -1.0, -1.4, 0.2])
 
 
 def motion(q: Array = Q0, tick_s: float = TICK_S, substeps: int = SUBSTEPS, **options: object) -> Motion:
-    return Motion(tick_s, substeps, q, **options)  # type: ignore[arg-type]
+    return Motion(tick_s, substeps, q, **{"dh": NOMINAL_DH} | options)  # type: ignore[arg-type]
 
 
 def until_done(arm: Motion, handle: Handle, scaling: Callable[[int], float] = lambda _: 1.0) -> tuple[Array, int]:
@@ -55,7 +56,7 @@ def at_rest(arm: Motion, ticks: int = 3000) -> Array:
 
 def positions(q: Array) -> Array:
     """Return flange positions (n, 3)."""
-    return flange_pose(q)[0]
+    return flange_pose(q, NOMINAL_DH)[0]
 
 
 def pose(arm: Motion, *offset: float) -> list[float]:

@@ -201,7 +201,7 @@ def test_a_declared_payload_adds_no_force(bench):
     bench.run(program("set_payload(2.0, [0.1, 0.0, 0.2])\nwhile True:\n  sync()\nend"))
     bench.tick(2)
     q = controller.motion.q.copy()
-    _, rotation = flange_pose(q)
+    _, rotation = flange_pose(q, NOMINAL_DH)
     weight = np.array([0.0, 0.0, -2.0 * 9.81])
     wrench = np.concatenate([weight, np.cross(rotation @ [0.1, 0.0, 0.2], weight)])
     controller.tick(ArmReading(q, np.zeros(6), np.zeros(6), wrench, None))

@@ -173,7 +173,7 @@ def test_arguments_that_are_no_numbers_move_nothing(bad, place):
         lambda arm: arm.plan(1.01),
         lambda arm: arm.plan(-0.01),
         lambda arm: arm.plan(math.nan),
-        lambda arm: Motion(0.008, 4, [math.nan] * 6),
+        lambda arm: motion([math.nan] * 6),
     ],
 )
 def test_arguments_that_make_no_sense(call):

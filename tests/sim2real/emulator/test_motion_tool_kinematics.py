@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_to_matrix
+from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.emulator.motion.tool_kinematics import frame_of, pose_of, rotation_of, rotvec_of
 from tests.sim2real.emulator.motion_runs import Q0, motion
 from tests.soak import scaled
@@ -36,7 +37,7 @@ def test_rotation_vectors_at_zero():
 
 def test_forward_and_inverse_with_a_tool():
     arm = motion()
-    position, rotation = flange_pose(Q0)
+    position, rotation = flange_pose(Q0, NOMINAL_DH)
     tool = frame_of(TCP)
     expected = (position + rotation @ tool.position, rotation @ tool.rotation)
     pose = arm.forward(Q0, TCP)

@@ -5,6 +5,7 @@ import pytest
 
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.kinematics import flange_pose
+from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.control.servoj import ServojProfile
 from dual_ur10.sim2real.emulator.motion import JointTorques, Motion
@@ -43,7 +44,7 @@ def test_arms_stand_where_the_task_begins(task, family):
 
 def test_a_nominal_arm_follows_its_controller_exactly():
     world = world_of(plant="nominal")
-    motions = [Motion(0.008, world.substeps, world.start_q_rad[arm]) for arm in range(2)]
+    motions = [Motion(0.008, world.substeps, world.start_q_rad[arm], dh=NOMINAL_DH) for arm in range(2)]
     goal = world.start_q_rad[0] + [0.3, -0.2, 0.1, 0.2, 0.3, -0.3]
     motions[0].move_joints(goal, 1.4, 1.0)
     most = 0.0
@@ -83,7 +84,7 @@ def test_kinematic_errors_displace_the_flange():
     right, wrong = world_of(plant="nominal"), world_of(plant="nominal", dh_error_m=0.005)
     offsets = []
     for world in (right, wrong):
-        nominal = flange_pose(world.start_q_rad[0])[0]
+        nominal = flange_pose(world.start_q_rad[0], NOMINAL_DH)[0]
         base, _ = world.pose("left/base_link")
         true, _ = world.pose("left/wrist_3_link")
         offsets.append(np.linalg.norm(true - base) - np.linalg.norm(nominal))

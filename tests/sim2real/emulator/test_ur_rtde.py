@@ -12,7 +12,7 @@ import pytest
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.robots import MODEL_OF_FAMILY
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_to_matrix
-from dual_ur10.kinematics.ur10 import TICK_S, nominal_dh
+from dual_ur10.kinematics.ur10 import NOMINAL_DH, TICK_S, nominal_dh
 from dual_ur10.sim2real.control.servoj import ServojLaw
 from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
 from dual_ur10.sim2real.emulator.emulator import BOOT_S
@@ -125,7 +125,9 @@ def test_two_arms_follow_the_law_from_one_process(cell):
         for timestamp, q in done["seen"][arm]:
             tick = round((timestamp - BOOT_S[arm]) / tick_s)
             if tick in expected:
-                errors.append(np.linalg.norm(flange_pose(q)[0] - flange_pose(expected[tick])[0]))
+                errors.append(
+                    np.linalg.norm(flange_pose(q, NOMINAL_DH)[0] - flange_pose(expected[tick], NOMINAL_DH)[0])
+                )
         assert len(errors) > len(number) / 2
         assert max(errors) < 0.5e-3
         moved = np.ptp([q for _, q in done["seen"][arm]], axis=0)

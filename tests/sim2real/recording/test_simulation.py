@@ -14,6 +14,7 @@ import pytest
 import dual_ur10  # noqa: F401 - registers the ids
 from dual_ur10.errors import MissingExtraError, RecordingError, SettingsError
 from dual_ur10.kinematics import flange_pose
+from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.policies.evaluation.minari_export import to_minari
 from dual_ur10.sim2real.config.cell import CellStep
 from dual_ur10.sim2real.recording.header import describe
@@ -93,7 +94,7 @@ def test_joints_are_recorded_at_every_control_period(tmp_path, task):
         speed = (q_rad[2:count] - q_rad[: count - 2]) / 0.016
         assert np.allclose(speed, arm.state["qd_rad_s"][1 : count - 1], atol=0.012)
         assert np.abs(arm.state["target_q_rad"] - q_rad).max() < 1e-3
-        assert np.allclose(arm.state["tcp_pose"][:, :3], flange_pose(q_rad)[0])
+        assert np.allclose(arm.state["tcp_pose"][:, :3], flange_pose(q_rad, NOMINAL_DH)[0])
         assert np.allclose(arm.sent["sent_s"], time_s - 0.008, atol=1e-12, rtol=0)
         assert np.array_equal(arm.sent["period"], np.arange(2 * steps * ticks))
 

@@ -31,7 +31,7 @@ class Pair:
         self.put = [[], []]
         self.arms = [
             ArmProcess(
-                ArmConnection(name, host, SERVOJ),
+                ArmConnection(name, host, SERVOJ, "ur10"),
                 self.memories[arm],
                 self.shared,
                 (self.memories[1 - arm],),

@@ -34,9 +34,10 @@ from dual_ur10.sim2real.runtime.approach import (
 from dual_ur10.sim2real.runtime.arm_memory import RING, ArmMemory
 from dual_ur10.sim2real.runtime.arm_sender import MOST_LATE_S
 from dual_ur10.sim2real.runtime.path_to_start import MEASURED_RAD, START_RAD, PathToStart
-from tests.sim2real.control.motion_checks import AlwaysClear, Measured, cartesian_speed
+from tests.sim2real.control.motion_checks import HARD, AlwaysClear, Measured, cartesian_speed
 
 HOME = HOME_Q_RAD.reshape(12)
+RATES = Rates(HARD.robots)
 TICKS_S = (0.008, 0.002)
 
 
@@ -70,7 +71,7 @@ def random_path(seed, size):
 @pytest.mark.parametrize("size", [1.5, 0.2, 1e-3])
 def test_its_real_time_rates_are_those_configured(speed_factor, tick_s, size):
     parts = random_path(round(size * 1000), size)
-    approach = Approach([*parts, HOME], speed_factor)
+    approach = Approach([*parts, HOME], RATES, speed_factor)
     sent = in_real_time(approach.targets(tick_s), HOME, tick_s, speed_factor)
     moved = np.diff(sent, axis=0, prepend=sent[:1], append=sent[-1:]) / tick_s
     found = np.array(
@@ -96,9 +97,9 @@ def test_its_real_time_rates_are_those_configured(speed_factor, tick_s, size):
     ],
 )
 def test_the_limits_of_a_cell_hold_in_an_approach(caps, which, speed_factor):
-    rates = Rates().capped(CellConfig(**caps))
+    rates = RATES.capped(CellConfig(**caps))
     parts = random_path(3, 0.4)
-    approach = plan(*np.array(parts).reshape(2, 2, 6), AlwaysClear(), speed_factor, rates)
+    approach = plan(*np.array(parts).reshape(2, 2, 6), AlwaysClear(), rates, speed_factor)
     sent = in_real_time(approach.targets(0.008), HOME, 0.008, speed_factor)
     moved = np.diff(sent, axis=0, prepend=sent[:1], append=sent[-1:]) / 0.008
     changed = np.diff(moved, axis=0) / 0.008
@@ -112,15 +113,15 @@ def test_the_limits_of_a_cell_hold_in_an_approach(caps, which, speed_factor):
     assert 0.9 * value < found[which] <= 1.02 * value
     assert found[0] <= 1.01 * SPEED_RAD_S
     # Where the cell allows more, nothing changes.
-    assert Rates().capped(CellConfig(speed_rad_s=1.0, jerk_rad_s3=100.0)).speed_rad_s == SPEED_RAD_S
-    assert Rates().capped(CellConfig()) == Rates()
+    assert RATES.capped(CellConfig(speed_rad_s=1.0, jerk_rad_s3=100.0)).speed_rad_s == SPEED_RAD_S
+    assert RATES.capped(CellConfig()) == RATES
 
 
 @pytest.mark.parametrize("speed_factor", [1.0, 0.3])
 @pytest.mark.parametrize("size", [1.5, 1e-3, 1e-6])
 def test_it_begins_and_ends_exactly(speed_factor, size):
     goal = HOME + size * np.random.default_rng(1).uniform(-1, 1, 12)
-    targets = plan(HOME.reshape(2, 6), goal.reshape(2, 6), AlwaysClear(), speed_factor).targets(0.008)
+    targets = plan(HOME.reshape(2, 6), goal.reshape(2, 6), AlwaysClear(), RATES, speed_factor).targets(0.008)
     assert targets.shape[1:] == (2, 6)
     assert (targets[-1].reshape(12) == goal).all()
     assert np.abs(targets[0].reshape(12) - HOME).max() < ACCELERATION_RAD_S2 * (0.008 / speed_factor) ** 2
@@ -131,7 +132,7 @@ def test_it_begins_and_ends_exactly(speed_factor, size):
 
 
 def test_arms_at_the_goal_stay_there():
-    approach = plan(HOME.reshape(2, 6), HOME.reshape(2, 6), AlwaysClear())
+    approach = plan(HOME.reshape(2, 6), HOME.reshape(2, 6), AlwaysClear(), RATES)
     assert approach.duration_s == 0.0
     assert (approach.targets(0.008) == HOME_Q_RAD).all()
     assert len(approach.targets(0.008)) >= 1
@@ -139,7 +140,7 @@ def test_arms_at_the_goal_stay_there():
 
 def test_between_two_parts_both_arms_rest():
     parts = [HOME, HOME + 0.3, HOME - 0.1]
-    approach = Approach(parts)
+    approach = Approach(parts, RATES)
     targets = np.concatenate([HOME[None], approach.targets(0.008).reshape(-1, 12)])
     (middle,) = np.flatnonzero((targets == parts[1]).all(axis=1))
     steps = np.abs(np.diff(targets, axis=0)).max(axis=1)
@@ -170,7 +171,7 @@ def nearest_m(clearance, approach, every=0.005):
 
 def test_both_arms_share_a_free_path(clearance):
     goal = HOME_Q_RAD + 0.1
-    approach = plan(HOME_Q_RAD, goal, clearance)
+    approach = plan(HOME_Q_RAD, goal, clearance, RATES)
     assert len(approach.parts) == 2
     assert nearest_m(clearance, approach) >= MINIMUM_M
 
@@ -193,7 +194,7 @@ def test_on_a_blocked_path_they_move_one_after_the_other_or_around(close):
         ends = np.array([q, goal]).reshape(2, 12)
         if not close.is_clear(ends).all():
             continue
-        approach = plan(q, goal, close)
+        approach = plan(q, goal, close, RATES)
         assert (approach.parts[0] == ends[0]).all()
         assert (approach.parts[-1] == ends[1]).all()
         assert bool(approach.detour) == (len(approach.parts) > 2)
@@ -218,7 +219,7 @@ def test_on_a_blocked_path_they_move_one_after_the_other_or_around(close):
 def test_the_same_ends_give_the_same_path(close):
     for q, goal in itertools.islice(crossings(), 20):
         if close.is_clear(np.array([q, goal]).reshape(2, 12)).all():
-            np.testing.assert_array_equal(plan(q, goal, close).parts, plan(q, goal, close).parts)
+            np.testing.assert_array_equal(plan(q, goal, close, RATES).parts, plan(q, goal, close, RATES).parts)
 
 
 def test_an_arm_that_has_to_stay_does_not_move_out_of_the_way(close):
@@ -226,7 +227,7 @@ def test_an_arm_that_has_to_stay_does_not_move_out_of_the_way(close):
     for q, goal in crossings():
         goal[1] = q[1]
         if close.is_clear(np.array([q, goal]).reshape(2, 12)).all():
-            parts = plan(q, goal, close, arms=("left",)).parts
+            parts = plan(q, goal, close, RATES, arms=("left",)).parts
             assert (parts[:, 6:] == parts[0, 6:]).all()
             around += len(parts) > 2
     assert around > 5
@@ -236,13 +237,13 @@ def test_an_arm_that_is_too_close_may_only_separate(clearance):
     down = HOME_Q_RAD.copy()
     while clearance.spare_m(down.reshape(1, 12)).min() > -0.06:
         down[0, 1] += 0.01  # towards the table, the arm comes too close to it
-    approach = plan(down, HOME_Q_RAD, clearance)
+    approach = plan(down, HOME_Q_RAD, clearance, RATES)
     assert len(approach.parts) == 2
     lower = down.copy()
     lower[0, 1] += 0.05
     for start, goal in ((down, lower), (HOME_Q_RAD, down)):
         with pytest.raises(StartError, match=r"in the goal left/.* and table would be -?\d.* mm apart, allowed are 20"):
-            plan(start, goal, clearance)
+            plan(start, goal, clearance, RATES)
 
 
 class Somewhere(Measured):
@@ -269,10 +270,10 @@ def test_the_whole_path_is_checked(shortfall, free, monkeypatch):
     monkeypatch.setattr(approach_module, "plan_path", partial(plan_path, iterations=30))
     goal = HOME_Q_RAD + 1.0
     if free:
-        assert len(plan(HOME_Q_RAD, goal, Somewhere(shortfall)).parts) == 2
+        assert len(plan(HOME_Q_RAD, goal, Somewhere(shortfall), RATES).parts) == 2
     else:
         with pytest.raises(StartError, match=r"the arms cannot move .* to the start of the task: .*pair 0 would"):
-            plan(HOME_Q_RAD, goal, Somewhere(shortfall))
+            plan(HOME_Q_RAD, goal, Somewhere(shortfall), RATES)
 
 
 @pytest.mark.parametrize(("arm", "name"), [(0, "left"), (1, "right")])
@@ -282,7 +283,7 @@ def test_a_joint_out_of_its_range_is_refused(clearance, arm, name, joint, sign):
     q = HOME_Q_RAD.copy()
     q[arm, joint] = sign * (JOINT_RANGE_RAD[joint] + 0.01)
     with pytest.raises(StartError, match=rf"{name}: .* is at {q[arm, joint]:.3f} rad.*rotate it back by hand"):
-        plan(q, HOME_Q_RAD, clearance)
+        plan(q, HOME_Q_RAD, clearance, RATES)
 
 
 # The gate during an approach.
@@ -334,9 +335,9 @@ def test_a_pair_that_is_too_close_may_only_separate(start, then, clear, blamed):
 @pytest.mark.parametrize("size", [1.0, 1e-3])
 def test_an_approach_passes_the_gate_under_any_limits(tick_s, factor, limits, size):
     path = [HOME, HOME + size * np.tile([0.5, -0.2, 0.2, 0.3, -0.3, 1.0], 2)]
-    rates = Rates().within(limits, factor)
-    assert rates.speed_rad_s <= Rates().speed_rad_s
-    targets = Approach(path, factor, rates).targets(tick_s)
+    rates = RATES.within(limits, factor)
+    assert rates.speed_rad_s <= RATES.speed_rad_s
+    targets = Approach(path, rates, factor).targets(tick_s)
     ticks = round(0.04 / tick_s)
     count = -(-len(targets) // ticks)
     targets = np.concatenate([targets, np.repeat(targets[-1:], count * ticks - len(targets), axis=0)])
@@ -353,11 +354,13 @@ def test_a_tool_is_no_faster_than_a_flange_may_be():
     start = np.asarray(HOME_Q_RAD, dtype=np.float64).reshape(12)
     end = start.copy()
     end[5] += 1.5  # rotates about the flange's own axis
-    rates = Rates(tcp_speed_m_s=0.04, tcp_m=tool)
+    rates = Rates(tcp_speed_m_s=0.04, tcp_m=tool, robots=RATES.robots)
     path = Approach([start, end], rates=rates)
     fastest = cartesian_speed(path.targets(0.008)[None], 0.008, tool).max()
     assert 0.039 < fastest <= 0.04 * (1 + 1e-6)
-    assert path.duration_s > 1.3 * Approach([start, end], rates=Rates(tcp_speed_m_s=0.04)).duration_s
+    assert (
+        path.duration_s > 1.3 * Approach([start, end], rates=Rates(tcp_speed_m_s=0.04, robots=RATES.robots)).duration_s
+    )
 
 
 @pytest.mark.parametrize(("tick_s", "ticks"), [(0.008, 5), (0.002, 1), (0.002, 20)])
@@ -390,7 +393,7 @@ def test_checking_many_windows_delays_the_first_target(monkeypatch, tick_s, tick
     targets = SimpleNamespace(write=write, rest_at=lambda q_rad: None)
     monkeypatch.setattr(way_to_start, "retreat_clearance", lambda clearance, start_rad: clearance)
     path = PathToStart(MotionLimits(), AlwaysClear(), tick_s, ticks, 1.0, targets)
-    led = Approach([HOME, HOME + np.eye(12)[5]]).targets(tick_s)
+    led = Approach([HOME, HOME + np.eye(12)[5]], RATES).targets(tick_s)
     path.follow(runner, HOME.reshape(2, 6), led)
     assert sum(count for _, count in written) >= len(led)
     firsts = [first for first, _ in written]
@@ -442,7 +445,7 @@ def test_a_machine_that_lags_is_waited_for_and_then_tolerated(off_rad):
 
 def test_the_tolerance_is_what_an_approach_leaves_to_a_controller_that_is_as_late_as_targets_may_be():
     path = np.eye(12)[5] * np.linspace(0.0, 1.0, 2)[:, None] + HOME
-    targets = Approach([*path]).targets(0.008).reshape(-1, 12)
+    targets = Approach([*path], RATES).targets(0.008).reshape(-1, 12)
     left = np.abs(targets - targets[-1]).max(axis=1)
     behind = int(MOST_LATE_S / 0.008)
     assert left[-1 - behind] < START_RAD < left[-1 - 10 * behind]

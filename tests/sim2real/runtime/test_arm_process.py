@@ -99,10 +99,10 @@ def test_offset_controllers_are_sent_targets_of_one_time(cell, apart_s):
 
 
 def test_the_round_trip_is_measured(cell):
-    quick = _round_trip_s(ArmConnection("left", cell.left, SERVOJ), cell.system)
+    quick = _round_trip_s(ArmConnection("left", cell.left, SERVOJ, "ur10"), cell.system)
     cell.ask("link", arm="left", port="rtde", delay_s=0.003)
     try:
-        slow = _round_trip_s(ArmConnection("left", cell.left, SERVOJ), cell.system)
+        slow = _round_trip_s(ArmConnection("left", cell.left, SERVOJ, "ur10"), cell.system)
     finally:
         cell.ask("heal", arm="left")
     assert quick == 0.0
@@ -254,7 +254,7 @@ def test_targets_that_no_gate_releases_are_not_sent(pair, tick, value, words):
 def test_an_arm_that_cannot_be_reached_is_named(cell):
     memory, shared = ArmMemory(), CellMemory()
     try:
-        arm = ArmProcess(ArmConnection("left", "127.250.250.250", SERVOJ), memory, shared, system=cell.system)
+        arm = ArmProcess(ArmConnection("left", "127.250.250.250", SERVOJ, "ur10"), memory, shared, system=cell.system)
         with pytest.raises(LinkError, match=r"left.*127\.250\.250\.250"):
             arm.wait_until_ready(30.0)
         assert arm.process.wait(5.0)
@@ -267,7 +267,7 @@ def test_a_stopped_arm_is_not_begun(cell):
     cell.ask("stop", arm="left", mode=3)
     memory, shared = ArmMemory(), CellMemory()
     try:
-        arm = ArmProcess(ArmConnection("left", cell.left, SERVOJ), memory, shared, system=cell.system)
+        arm = ArmProcess(ArmConnection("left", cell.left, SERVOJ, "ur10"), memory, shared, system=cell.system)
         with pytest.raises(LinkError, match="left"):
             arm.wait_until_ready(30.0)
     finally:
@@ -279,4 +279,4 @@ def test_a_stopped_arm_is_not_begun(cell):
 def test_bad_priorities_are_refused():
     for priority in (-1, 91):
         with pytest.raises(SettingsError, match="rt_priority"):
-            ArmConnection("left", "127.0.0.2", SERVOJ, priority)
+            ArmConnection("left", "127.0.0.2", SERVOJ, "ur10", priority)

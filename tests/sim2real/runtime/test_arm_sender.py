@@ -77,7 +77,9 @@ def stopped(parts, family, gap_s, hiccup_s=0.0):
     memory, cell = parts
     clock, servoj = Time(), PROFILES[family]
     ends = Silent(clock, hiccup_s)
-    sender = ArmSender("left", servoj, ends, ends, memory, cell, system=types.SimpleNamespace(clock=clock))
+    sender = ArmSender(
+        "left", servoj, ends, ends, memory, cell, robot="ur10", system=types.SimpleNamespace(clock=clock)
+    )
     for packet in range(40):
         sender.clock.note(5.0 + servoj.tick_s * packet, clock.now + servoj.tick_s * packet)
     clock.sleep(servoj.tick_s * 40)

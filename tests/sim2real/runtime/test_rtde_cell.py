@@ -19,9 +19,10 @@ from dual_ur10.errors import (
     UnknownNameError,
 )
 from dual_ur10.sim2real.config.cell_file import CellFile
-from dual_ur10.sim2real.runtime.approach import Approach
+from dual_ur10.sim2real.runtime.approach import Approach, Rates
 from dual_ur10.testing import VirtualCell
 from tests.parity import handed_over
+from tests.sim2real.control.motion_checks import HARD
 
 ARMS = ("left", "right")
 HANDOVER, SINE = "DualUR10/Handover-v0", "DualUR10/SineTracking-v0"
@@ -253,7 +254,7 @@ def test_a_program_that_stalls_in_an_approach_sends_nothing_more(bench, monkeypa
     first = memory.sent_count
     here = cell.runner.last().reshape(2, 6)
     there = here + np.array([0, 0, 0, 0, 0, 1.0])
-    way = Approach([here.reshape(12), there.reshape(12)]).targets(0.008)
+    way = Approach([here.reshape(12), there.reshape(12)], Rates(HARD.robots)).targets(0.008)
     assert len(way) > 600
     waited = []
 
@@ -331,7 +332,7 @@ def test_nothing_goes_to_a_start_past_the_gate(bench, spoiled):
     here = cell.runner.last().reshape(2, 6)
     there = here.copy()
     there[0, 1] += 1.5  # through the table
-    way = Approach([here.reshape(12), there.reshape(12)]).targets(0.008)
+    way = Approach([here.reshape(12), there.reshape(12)], Rates(HARD.robots)).targets(0.008)
     if spoiled == "jump":
         way[:] = here
         way[200:] += 0.01

@@ -4,6 +4,7 @@ import numpy as np
 
 from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
 from dual_ur10.errors import CellFaulted
+from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.config.cell import CellState, CellStep
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.command_queue import CommandQueue
@@ -76,7 +77,9 @@ def made(latency_ticks=0, **changes):
     """Return an executor on such a cell, at home."""
     gate = SafetyGate(LIMITS, PROFILE.tick_s, TICKS, CLEARANCE)
     law = TargetLaw.of(PROFILE, TICKS, 1.0, None)
-    executor = TrajectoryExecutor(LawCell(latency_ticks), gate, law, CLEARANCE, latency_ticks=latency_ticks, **changes)
+    executor = TrajectoryExecutor(
+        LawCell(latency_ticks), gate, law, CLEARANCE, latency_ticks=latency_ticks, dh=[NOMINAL_DH] * 2, **changes
+    )
     executor.start(HOME_Q_RAD)
     return executor
 

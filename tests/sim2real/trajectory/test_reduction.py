@@ -13,6 +13,7 @@ from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.errors import TrajectoryError, UnknownNameError
 from dual_ur10.kinematics.forward import flange_pose
 from dual_ur10.kinematics.inverse import nearest
+from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.trajectory.interpolation import Interpolation
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
 from dual_ur10.sim2real.trajectory.reduction import reduce_points
@@ -80,10 +81,10 @@ def circle(duration_s=10.0, amplitude_m=0.1, rate_hz=0.5, tick_s=0.008):
     ramp = ramp**3 * (10 - 15 * ramp + 6 * ramp**2)
     q = []
     for arm in range(2):
-        position, rotation = flange_pose(HOME_Q_RAD[arm])
+        position, rotation = flange_pose(HOME_Q_RAD[arm], NOMINAL_DH)
         here, rows = HOME_Q_RAD[arm], []
         for wanted in amplitude_m * ramp * np.sin(2 * np.pi * rate_hz * time):
-            here = nearest(position + wanted * np.eye(3)[1], rotation, here)
+            here = nearest(position + wanted * np.eye(3)[1], rotation, here, NOMINAL_DH)
             rows.append(here)
         q.append(rows)
     q = np.stack(q, axis=1)

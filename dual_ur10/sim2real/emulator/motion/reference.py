@@ -10,7 +10,7 @@ import numpy as np
 
 from dual_ur10.errors import MotionError, UnreachableError
 from dual_ur10.kinematics.robots import robot_model
-from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD, NOMINAL_DH, DHParameters
+from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD, DHParameters
 from dual_ur10.sim2real.emulator.motion.cartesian import PoseBlend
 from dual_ur10.sim2real.emulator.motion.compliance import SPEED_CAP, TIME_CONSTANT_S, Compliance
 from dual_ur10.sim2real.emulator.motion.joint_torque import JointTorques, TorqueStream
@@ -97,7 +97,7 @@ class Reference:
         substeps: int,
         q_rad: Sequence[float] | Array,
         *,
-        dh: DHParameters = NOMINAL_DH,
+        dh: DHParameters,
         lookahead_scale: float = 1.0,
         assumptions: Assumptions | None = None,
     ) -> None:

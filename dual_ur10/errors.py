@@ -11,6 +11,16 @@ import difflib
 import re
 from collections.abc import Sequence
 
+_MOST_DECIMALS = 17
+
+
+def distinguishable(found: float, allowed: float, decimals: int = 3) -> tuple[str, str]:
+    """Return two numbers with some decimals, or as many more as show that they differ, and that neither is 0."""
+    texts = f"{found:.{decimals}f}", f"{allowed:.{decimals}f}"
+    as_zero = [value != 0.0 == float(text) for value, text in zip((found, allowed), texts, strict=True)]
+    hidden = texts[0] == texts[1] or any(as_zero)
+    return distinguishable(found, allowed, decimals + 1) if hidden and decimals < _MOST_DECIMALS else texts
+
 
 class DualUR10Error(Exception):
     """Base class of all errors of this package; raised itself when a file cannot be written."""

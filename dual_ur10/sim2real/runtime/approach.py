@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from dual_ur10.errors import PlanningError, StartError
+from dual_ur10.errors import PlanningError, StartError, distinguishable
 from dual_ur10.kinematics.forward import elbow_flange_and_tcp
 from dual_ur10.kinematics.ur10 import ARMS, JOINT_RANGE_RAD, JOINTS
 from dual_ur10.sim2real.control.clearance import Clearance
@@ -166,10 +166,8 @@ def plan(
     outside = ~(np.abs(start) <= np.tile(allowed, 2))
     if outside.any():
         arm, joint = divmod(int(outside.argmax()), 6)
-        raise StartError(
-            f"{ARMS[arm]}: {JOINTS[joint]} is at {start[outside][0]:.3f} rad, allowed are "
-            f"±{allowed[joint]:.3f}: rotate it back by hand"
-        )
+        found, most = distinguishable(float(start[outside][0]), float(allowed[joint]))
+        raise StartError(f"{ARMS[arm]}: {JOINTS[joint]} is at {found} rad, allowed are ±{most}: rotate it back by hand")
     try:
         parts = plan_path(clearance, start, goal, limits or MotionLimits(), np.random.default_rng(0), arms=arms)
     except PlanningError as error:

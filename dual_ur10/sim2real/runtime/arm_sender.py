@@ -8,7 +8,7 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from dual_ur10.errors import ClosedError, LinkError
+from dual_ur10.errors import ClosedError, LinkError, distinguishable
 from dual_ur10.kinematics.robots import robot_model
 from dual_ur10.kinematics.ur10 import ARMS, HARD_ACCELERATION_RAD_S2, JOINT_RANGE_RAD
 from dual_ur10.sim2real.control.servoj import ServojProfile
@@ -288,9 +288,8 @@ class ArmSender:
         for each, limit in zip(found, allowed, strict=True):
             if not each <= limit * (1 + 1e-9):
                 joint = int(np.divide(found, allowed).argmax())
-                raise TargetError(
-                    f"a target is {found[joint]:.4f} rad {what} at joint {joint}: allowed are {allowed[joint]:.4f}"
-                )
+                most, least = distinguishable(found[joint], allowed[joint], 4)
+                raise TargetError(f"a target is {most} rad {what} at joint {joint}: allowed are {least}")
 
     def _listen(self, until_s: float, *, playing: bool = True) -> None:
         """Process the controller's states until a time.

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from dual_ur10.errors import DualUR10Error, StartError, TrajectoryError
+from dual_ur10.errors import DualUR10Error, StartError, TrajectoryError, distinguishable
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.commissioning.operator_prompts import Confirm
 from dual_ur10.sim2real.config.cell_file import CellFile
@@ -158,9 +158,10 @@ class PointStream(ProgrammedArms):
         off = np.abs(here - path.q_rad[0])
         if off.max() > _NEAR_RAD:
             arm, joint = np.unravel_index(off.argmax(), off.shape)
+            found, allowed = distinguishable(float(off.max()), _NEAR_RAD)
             raise TrajectoryError(
-                f"the path begins {off.max():.4f} rad from where joint {joint} of the {ARMS[arm]} arm is, allowed are "
-                f"{_NEAR_RAD:g}: begin at the measured positions"
+                f"the path begins {found} rad from where joint {joint} of the {ARMS[arm]} arm is, allowed are "
+                f"{allowed}: bring the arms to its first point, as `follow --to FILE` does, or begin where they are"
             )
         if not self._confirm(f"Both arms follow a path of {path.duration_s:.1f} s from where they are."):
             raise StartError("the motion was not confirmed: nothing has moved")

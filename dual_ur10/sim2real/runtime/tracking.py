@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 
+from dual_ur10.errors import distinguishable
 from dual_ur10.kinematics.ur10 import JOINTS
 from dual_ur10.sim2real.control.servoj import ServojProfile
 from dual_ur10.sim2real.links.arm_status import ArmStatus
@@ -57,9 +58,8 @@ class Deviation:
             return None
         over = np.subtract(apart_rad, allowed_rad)
         joint = int(np.where(np.isnan(over), np.inf, over).argmax())
-        return self._text.format(
-            joint=JOINTS[joint], found=f"{apart_rad[joint]:.3f}", allowed=f"{allowed_rad[joint]:.3f}"
-        )
+        found, allowed = distinguishable(apart_rad[joint], allowed_rad[joint])
+        return self._text.format(joint=JOINTS[joint], found=found, allowed=allowed)
 
 
 class Tracking:

@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from dual_ur10.errors import distinguishable
 from dual_ur10.kinematics.forward import flange_pose
 from dual_ur10.kinematics.ur10 import ARMS, JOINTS, DHParameters
 from dual_ur10.sim2real.trajectory.course_stepper import Desired
@@ -87,4 +88,5 @@ def _worst(goal: TrajectoryGoal, error: Array, tolerance: Array) -> str:
     """Return the joint that exceeds its tolerance most."""
     arm, joint = np.unravel_index(int((np.abs(error) / tolerance).argmax()), error.shape)
     name = f"{goal.trajectory.arms[arm]}/{JOINTS[joint]}"
-    return f"{name} is {abs(error[arm, joint]):.4f} rad, allowed are {tolerance[arm, joint]:g} rad,"
+    found, allowed = distinguishable(abs(error[arm, joint]), tolerance[arm, joint], 4)
+    return f"{name} is {found} rad, allowed are {allowed} rad,"

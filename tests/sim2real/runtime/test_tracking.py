@@ -137,6 +137,9 @@ def test_a_deviation_at_rest_is_noticed():
         found[2]
         == f"{JOINTS[3]} has a target 0.030 rad from the one sent, allowed are 0.020: the controller does not follow"
     )
+    following.sent(HOME, np.zeros(6))
+    found = [following(state(off(3, 0.02003))) for _ in range(3)]
+    assert "0.02003 rad from the one sent, allowed are 0.02000:" in found[2]
     fine = Following(ServojProfile())
     fine.sent(HOME, np.zeros(6))
     assert [fine(state(off(3, 0.019))) for _ in range(5)] == [None] * 5

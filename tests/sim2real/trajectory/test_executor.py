@@ -94,7 +94,7 @@ def test_a_violated_path_tolerance_stops_both_arms_within_two_ticks():
     assert handle.state == GoalState.ABORTED
     assert (handle.result.code, handle.result.reason) == (ResultCode.PATH_TOLERANCE_VIOLATED, "path tolerance")
     assert "right/elbow_joint is 0.06" in handle.result.text
-    assert "allowed are 0.05 rad" in handle.result.text
+    assert "allowed are 0.0500 rad" in handle.result.text
     assert executor.moves
     handle.wait()
     assert not executor.moves

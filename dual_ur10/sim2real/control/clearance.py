@@ -240,13 +240,15 @@ class Clearance:
         configurations = np.asarray(q_rad, dtype=np.float64).reshape(-1, 12)
         for row in np.flatnonzero(~self.is_clear(configurations)):
             pair, distance, allowed = self.worst(configurations[row])
-            away = "move the bases apart, rotate them"
+            one, _, other = pair.partition(" and ")
+            arm = one.partition("/")[0]
+            away = "" if other.startswith(f"{arm}/") else "move the bases apart, rotate them, or "
             for each in self._settings.obstacles:
                 if pair.endswith(f" and {geom_name(each)}"):
-                    away = f"move the obstacle {each.name!r} or the bases"
+                    away = f"move the obstacle {each.name!r} or the bases, or "
             raise CollisionAtStartError(
                 f"in the start configuration {pair} are {distance * 1e3:.1f} mm apart, allowed are "
-                f"{allowed * 1e3:.1f} mm or more: {away}, or choose another start configuration"
+                f"{allowed * 1e3:.1f} mm or more: {away}choose another start configuration"
             )
 
 

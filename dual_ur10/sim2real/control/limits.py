@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.errors import SettingsError
+from dual_ur10.errors import SettingsError, distinguishable
 from dual_ur10.kernel import Struct
 from dual_ur10.kinematics import ur10
 from dual_ur10.kinematics.forward import lengths_m
@@ -154,6 +154,23 @@ class MotionLimits:
         """Return these limits for two models, within their hard limits."""
         speed = np.minimum(self.speed_rad_s, hard_speed_rad_s(robots))
         return replace(self, speed_rad_s=_six(speed), robots=robots)
+
+    def check_range(self, q_rad: Array) -> None:
+        """Check that joint angles, (2, 6), are within the joint range.
+
+        Raises:
+            SettingsError: One is outside.
+        """
+        lower, upper = np.asarray(self.lower_rad), np.asarray(self.upper_rad)
+        for arm, joint in np.argwhere((q_rad < lower) | (q_rad > upper)):
+            value = float(q_rad[arm, joint])
+            low = value < lower[joint]
+            found, bound = distinguishable(value, float((lower if low else upper)[joint]))
+            remedy = "are these degrees?" if abs(value) > 2 * math.pi else "choose another angle"
+            raise SettingsError(
+                f"{ur10.ARMS[arm]}/{ur10.JOINTS[joint]} is at {found} rad, allowed are at {'least' if low else 'most'} "
+                f"{bound} rad: {remedy}"
+            )
 
     def narrowed(self, margin_rad: float) -> MotionLimits:
         """Return these limits with a joint range smaller by `margin_rad` on both sides."""

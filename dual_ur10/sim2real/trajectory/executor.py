@@ -137,12 +137,14 @@ class TrajectoryExecutor(Closing):
         """Bring the arms to a configuration, (2, 6), where goals can begin; on controllers by a confirmed approach.
 
         Raises:
-            SettingsError: The configuration is not finite, or bodies are too close in it. Nothing changes.
+            SettingsError: The configuration is not finite or not within the joint range, or bodies are too close in it.
+                Nothing changes.
             StartError: There is no path, it was not confirmed, or an arm does not arrive.
             CellFaulted: The arms were stopped.
         """
         self._check_open()
         start = np.array(q_rad, dtype=np.float64).reshape(2, 6)
+        self.gate.limits.check_range(start)  # distances far outside the range mean nothing
         self._clearance.check_start(start[None])
         if self._active is not None:
             self._end_preempted(self._active, "cancelled", "the arms were brought to another start")

@@ -176,6 +176,8 @@ def _loaded(text: str, kind: Format) -> object:
         found = [each for each in yaml.safe_load_all(text) if each is not None]
     except (ValueError, yaml.YAMLError, RecursionError) as error:
         reason = " ".join(str(error).split())
+        if "set_int_max_str_digits" in reason:  # Python's own remedy is none here
+            reason = "a value has too many digits to be a number here"
         raise TrajectoryError(f"this is no {kind.upper()}: {reason:.200}") from None
     if len(found) != 1:
         raise TrajectoryError(f"there are {len(found)} documents: one message must be there, of JointTrajectory")

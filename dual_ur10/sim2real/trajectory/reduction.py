@@ -79,7 +79,7 @@ def reduce_points(
         return Reduction(original.part(kept), deviation)
     raise TrajectoryError(
         f"{points} points joined by {kind} polynomials deviate by up to {1e3 * deviation:.4g} mrad, allowed are "
-        f"{1e3 * bound_rad:.4g}: allow that deviation, or more points"
+        f"{1e3 * bound_rad:.4g}: make the trajectory smoother, or divide it into shorter ones"
     )
 
 

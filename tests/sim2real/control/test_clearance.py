@@ -175,6 +175,14 @@ def test_pickling_keeps_everything() -> None:
     np.testing.assert_array_equal(first.is_clear(configurations), second.is_clear(configurations))
 
 
+def test_moving_the_bases_is_no_remedy_within_one_arm(clearance: Clearance) -> None:
+    folded = HOME.copy().reshape(1, 2, 6)
+    folded[0, 0, 2] = 3.1
+    with pytest.raises(CollisionAtStartError, match=r"left/\w+ and left/.* or more: choose another start") as caught:
+        clearance.check_start(folded)
+    assert "bases" not in str(caught.value)
+
+
 def test_starts_are_checked_by_row(clearance: Clearance) -> None:
     starts = np.stack([HOME, CROSSED]).reshape(2, 2, 6)
     clearance.check_start(starts[:1])

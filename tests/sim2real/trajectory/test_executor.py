@@ -117,6 +117,26 @@ def test_a_tolerance_of_its_own_for_each_joint():
     assert "left/wrist_1_joint" in result.text
 
 
+def test_a_tiny_tolerance_is_told_apart_from_what_was_found():
+    result = made().execute(TrajectoryGoal(wave(), path_tolerance_rad=1e-9)).wait()
+    found, allowed = re.search(r"is (\S+) rad, allowed are (\S+) rad, from its path", result.text).groups()
+    assert float(found) > float(allowed) == 1e-9
+
+
+@pytest.mark.parametrize(
+    ("joint", "angle", "text"),
+    [
+        (0, -12.6, "left/shoulder_pan_joint is at -12.600 rad, allowed are at least -6.283 rad: are these degrees?"),
+        (2, 3.3, "left/elbow_joint is at 3.300 rad, allowed are at most 3.142 rad: choose another angle"),
+    ],
+)
+def test_a_start_outside_the_joint_range_says_so_first(joint, angle, text):
+    start = HOME_Q_RAD.copy()
+    start[0, joint] = angle
+    with pytest.raises(SettingsError, match=f"^{re.escape(text)}$"):
+        made().start(start)
+
+
 def test_an_arm_beside_the_goal_violates_the_goal_tolerance():
     executor = made()
     executor.cell.offset_rad[0, 1] = 0.015

@@ -120,6 +120,12 @@ def test_a_wrong_message_is_named(old, new, code, text):
     assert str(found.value).startswith("my file: ")
 
 
+@pytest.mark.parametrize("kind", ["json", "yaml"])
+def test_a_number_of_too_many_digits_is_none(kind):
+    with pytest.raises(TrajectoryError, match=r"this is no \w+: a value has too many digits to be a number here$"):
+        parse_trajectory(b'{"points": ' + b"7" * 5000 + b"}", kind)
+
+
 @pytest.mark.parametrize("content", [b"[]", b"3", b"null", b"{}", b"[" * 100_000, b"\xff", b'{"points": NaN}', b""])
 @pytest.mark.parametrize("kind", ["json", "yaml", "csv"])
 def test_other_content_is_refused(content, kind):

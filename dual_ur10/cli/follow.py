@@ -64,7 +64,7 @@ def follow(
     retime: Annotated[
         bool,
         typer.Option(
-            "--retime", help="Pass the points of FILE as fast as allowed; it needs no times, and its are left."
+            "--retime", help="Pass the points of FILE as fast as allowed. Times are not needed, and not used."
         ),
     ] = False,
     duration: Annotated[
@@ -102,7 +102,8 @@ def follow(
         typer.Option(
             "--rate",
             metavar="HZ",
-            help="With --cell, on a slow link: points per second, interpolated by controllers.",
+            help="With --cell, on a slow link: points per second, interpolated by controllers. The arms must stand at "
+            "the first point: `follow --to FILE` brings them there.",
         ),
     ] = None,
     record: Annotated[
@@ -112,8 +113,9 @@ def follow(
 ) -> None:
     """Follow a trajectory with one arm or both, or move to a configuration: in MuJoCo, on controllers or a serial line.
 
-    The arms first move to the first point: on two controllers slowly, once you confirm it. There, --to without a file
-    is this slow motion. Ctrl-C stops both arms on the path; a second one closes the cell.
+    The arms first move to the first point, except with --rate and --serial: on two controllers slowly, once you confirm
+    it. There, --to without a file is this slow motion. Ctrl-C stops both arms on the path; a second one closes the
+    cell.
     """
     from dual_ur10.envs.core.follower import home_of, make_follower
     from dual_ur10.sim2real.trajectory.feedback_file import FeedbackFile
@@ -200,10 +202,12 @@ def follow(
         with make_follower(keywords.get("cell", "mujoco"), arm=only) as executor:
             executor.scaling = scaling
             executor.start(start)
+            moved = False
             for each in goals(executor):
+                moved = True
                 _reach(executor, each, table)
-            if file is None and cell is not None:
-                console.print("the arms are there")
+            if not moved:
+                console.print("[green]the arms are there[/]")
 
 
 def _reach(executor: TrajectoryExecutor, goal: TrajectoryGoal, table: FeedbackFile | None) -> None:

@@ -38,12 +38,13 @@ def repeatability(
     with make_follower(chosen) as executor:
         executor.start(home_of(chosen))
         found = list(returns(executor, paths, np.random.default_rng(seed), settle))
+    only_ur10 = set(executor.gate.limits.robots) == {"ur10"}  # whose data sheet is known here
     spread = spread_of(np.stack([executor.flanges_m(q_rad) for q_rad in found]))
     table = Table(header_style="bold")
-    for header in ("arm", "ISO 9283\n[dim]mm[/]", "largest\n[dim]mm[/]", "UR10, data sheet\n[dim]mm[/]"):
+    for header in ("arm", "ISO 9283\n[dim]mm[/]", "largest\n[dim]mm[/]", *["UR10, data sheet\n[dim]mm[/]"] * only_ur10):
         table.add_column(header, justify="left" if header == "arm" else "right")
     for row, arm in enumerate(ARMS):
         values = (spread.iso_9283_m[row], spread.largest_m[row])
-        table.add_row(arm, *(f"{1e3 * each:.5f}" for each in values), f"±{1e3 * UR10_M:g}")
+        table.add_row(arm, *(f"{1e3 * each:.5f}" for each in values), *[f"±{1e3 * UR10_M:g}"] * only_ur10)
     console.print(table)
     console.print(f"{paths} returns, {settle:g} s after each, from encoders and forward kinematics", highlight=False)

@@ -65,10 +65,14 @@ def calibrate(
         float,
         typer.Option("--accept-m", min=0.0, max=0.1, help="Largest uncertainty 1 m from the base that is written."),
     ] = 0.001,
+    moved: Annotated[
+        bool,
+        typer.Option("--moved", help="A base was moved: write it although it is over 0.3 m or 20° from that in FILE."),
+    ] = False,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of simulated touches.")] = 0,
 ) -> None:
     """Estimate where the right base stands in the left one's frame, with its uncertainty. Moves nothing."""
-    from dual_ur10.sim2real.analysis.cell_update import write_bases
+    from dual_ur10.sim2real.analysis.cell_update import doubt_about, write_bases
     from dual_ur10.sim2real.calibration import data_file
     from dual_ur10.sim2real.calibration.estimate import estimate
     from dual_ur10.sim2real.calibration.transforms import right_in_left
@@ -98,13 +102,14 @@ def calibrate(
         if suggest and observations:
             _print_next(cell, dh, near, noise, observations, None)
         raise error
-    _print_estimate(found)
+    writes = write or out is not None
+    _print_estimate(found, None if writes and not moved else doubt_about(found, cell))  # a refusal tells it anyway
     _print_residuals(found, observations)
     if suggest:
         _print_next(cell, dh, near, noise, observations, found)
-    if write or out is not None:
+    if writes:
         day = LOCAL.clock.utc().date()
-        kept = write_bases(file, found, data, day=day, kinematics=tables, accept_m=accept_m, out=out)
+        kept = write_bases(file, found, data, day=day, kinematics=tables, accept_m=accept_m, out=out, moved=moved)
         where = f"wrote {out}" if kept is None else f"wrote {file}; as it was: {kept}"
         console.print(where, soft_wrap=True, highlight=False, markup=False)
 
@@ -232,7 +237,7 @@ def _print_next(
     console.print(f"next: {each.text}", highlight=False, soft_wrap=True)
 
 
-def _print_estimate(found: BaseEstimate) -> None:
+def _print_estimate(found: BaseEstimate, doubt: str | None) -> None:
     table = Table(header_style="bold", title="right base in the left base's frame, as the pendants show it")
     for name in ("", "estimate", "95 % interval"):
         table.add_column(name, justify="left" if not name else "right")
@@ -251,7 +256,7 @@ def _print_estimate(found: BaseEstimate) -> None:
         soft_wrap=True,
     )
     console.print(f"least known: {found.weakest.text}", highlight=False, soft_wrap=True)
-    notes = []
+    notes = [] if doubt is None else [escape(doubt)]
     if found.is_tilted:
         tilt = math.degrees(math.hypot(*found.tilt_rad))
         notes.append(

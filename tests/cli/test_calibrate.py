@@ -1,5 +1,6 @@
 """The command `cell calibrate`, and what it writes, on a virtual cell."""
 
+import dataclasses
 import datetime
 import functools
 import json
@@ -18,7 +19,7 @@ from dual_ur10.sim2real.emulator.emulator import write_cell_file
 from dual_ur10.sim2real.runtime.rtde_cell import _check_bases
 from dual_ur10.testing import VirtualCell
 from tests.cli import command
-from tests.sim2real.calibration.cells import NEAR, NOMINAL, shifted, touches
+from tests.sim2real.calibration.cells import NEAR, NOMINAL, PLANNED, shifted, touches
 
 run = functools.partial(command.run, "cell", "calibrate")
 
@@ -155,6 +156,62 @@ def test_an_uncertain_base_is_not_written(lab, keywords, accept_m, text):
         write_bases(lab, found_base(**keywords), "t.json", day=DAY, accept_m=accept_m)
     assert lab.read_text() == before
     assert list(lab.parent.iterdir()) == [lab]
+
+
+def data_of(observations, path):
+    """Write touches to a data file."""
+    rows = [{"kind": "touch", **{k: list(v) for k, v in vars(each).items()}} for each in observations]
+    path.write_text(json.dumps({"observations": rows}))
+    return path
+
+
+ASKEW = shifted(rotation_rad=(0.0, 0.0, 0.4))
+"""23° from the cell file's base."""
+
+
+def plain(text):
+    return " ".join(text.split())
+
+
+def test_exchanged_arms_are_named_and_not_written(lab, tmp_path):
+    right = [each.exchanged(tips=True) for each in touches(shifted(rotation_rad=(0, 0, 0)), np.random.default_rng(2))]
+    before, data = lab.read_text(), data_of(right, tmp_path / "data.json")
+    code, text = run(str(lab), "--data", str(data), "--write")
+    assert code == 2
+    assert "2.4 m and 0.0" in plain(text)
+    assert "allowed are 0.3 m and 20°" in plain(text)
+    assert "left and right are exchanged in the data" in plain(text)
+    assert plain(text).count("allowed are 0.3 m") == 1  # the refusal, without a note before it
+    assert lab.read_text() == before
+    code, text = run(str(lab), "--data", str(data))
+    assert code == 0
+    assert "left and right are exchanged in the data" in plain(text)
+
+
+def test_exchanged_addresses_exchange_no_tips(lab):
+    tips = {"left_tcp_m": (0.0, 0.0, 0.17), "right_tcp_m": (0.02, 0.0, 0.3)}
+    planned = [dataclasses.replace(each, **tips) for each in PLANNED]
+    seen = [each.exchanged(tips=False) for each in touches(NEAR, np.random.default_rng(2), planned)]
+    try:
+        exchanged = estimate(seen, NOMINAL, NEAR).exchanged
+    except CalibrationError as error:
+        exchanged = "left and right are exchanged" in str(error)
+    assert exchanged
+
+
+def test_a_base_far_away_needs_moved(lab, tmp_path):
+    data = data_of(touches(ASKEW, np.random.default_rng(2)), tmp_path / "data.json")
+    before = lab.read_text()
+    code, text = run(str(lab), "--data", str(data), "--write")
+    assert code == 2
+    assert "22.9°" in text
+    assert "give --moved" in plain(text)
+    assert "exchanged" not in text
+    assert lab.read_text() == before
+    code, text = run(str(lab), "--data", str(data), "--write", "--moved")
+    assert code == 0, text
+    assert "22.9°" in text  # still told
+    assert load_cell_file(lab).right.base_yaw_rad == pytest.approx(0.4, abs=1e-3)
 
 
 def test_a_carry_needs_known_bases(lab):

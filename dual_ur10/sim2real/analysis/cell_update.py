@@ -18,7 +18,8 @@ from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.ur10 import ARMS, DHParameters
 from dual_ur10.sim2real.analysis.fit import ArmFit
 from dual_ur10.sim2real.calibration.directions import LEVER_M
-from dual_ur10.sim2real.calibration.estimate import BaseEstimate
+from dual_ur10.sim2real.calibration.estimate import EXCHANGED, FAR_M, FAR_RAD, BaseEstimate
+from dual_ur10.sim2real.calibration.transforms import right_in_left
 from dual_ur10.sim2real.config.cell_file import CellFile, examine_text, load_cell_file
 from dual_ur10.sim2real.config.cell_file_reference import write_new
 from dual_ur10.sim2real.config.cell_file_tables import MAX_LATENCY_S, ZERO, BaseToBase, Calibration, Measured
@@ -81,6 +82,7 @@ def write_bases(
     kinematics: Mapping[str, Calibration] | None = None,
     accept_m: float = ACCEPTED_M,
     out: str | Path | None = None,
+    moved: bool = False,
 ) -> Path | None:
     """Write the estimated pose of the right base into a cell file, and beside it day, data and uncertainty.
 
@@ -96,18 +98,21 @@ def write_bases(
         kinematics: Calibration of arms, by name, that the estimate was made with and the file lacks.
         accept_m: Largest legal `uncertainty_at_lever_m`.
         out: New file for the result; None: change the cell file.
+        moved: True if a base was moved, so that the estimate may be far from the base in the file.
 
     Returns:
         Path of the backup; None if the result is a new file.
 
     Raises:
-        CalibrationError: The estimate is too uncertain. Nothing is written.
+        CalibrationError: The estimate is too uncertain, or far from the base in the file. Nothing is written.
         CellFileError: The cell file is not legal, would not be, or `out` exists. Nothing is written.
         DualUR10Error: A file cannot be written. The cell file is unchanged.
     """
     target = check_target(path)
-    check_accepted(found, accept_m)
     cell = load_cell_file(target)
+    if not moved and (doubt := doubt_about(found, cell)):
+        raise CalibrationError(f"{doubt}. Nothing was written")
+    check_accepted(found, accept_m)
     text = target.read_bytes().decode("utf-8")
     left, right = cell.arms
     mount = found.mount(left.mount, right.mount.dh)
@@ -147,6 +152,24 @@ def write_bases(
     kept = _keep(target)
     write_text(target, updated)
     return kept
+
+
+def doubt_about(found: BaseEstimate, cell: CellFile) -> str | None:
+    """Return why an estimate is not believed: it is far from the base in the cell file. None: it is near."""
+    pose = right_in_left(cell.left.mount, cell.right.mount)
+    if not found.is_far_from(pose):
+        return None
+    distance_m, angle_rad = found.distance_from(pose)
+    remedy = (
+        EXCHANGED
+        if found.exchanged
+        else "Check which arm is left in data and cell file, the tips and the kinematics. If a base was moved, or the "
+        "file never had its pose, give --moved"
+    )
+    return (
+        f"the right base is {distance_m:.3g} m and {math.degrees(angle_rad):.3g}° from where {cell.source} has it, "
+        f"relative to the left one: allowed are {FAR_M:g} m and {math.degrees(FAR_RAD):g}°. {remedy}"
+    )
 
 
 def check_accepted(found: BaseEstimate, accept_m: float) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final, NamedTuple
 
@@ -29,6 +29,17 @@ LEVEL: Final = 0.95
 
 UNDETERMINED_M: Final = 0.02
 """Standard deviation at 1 m, at the stated noise, from which a direction counts as undetermined."""
+
+FAR_M: Final = 0.3
+"""Distance between an estimate and the approximate base beyond which one of both is wrong."""
+
+FAR_RAD: Final = math.radians(20)
+"""Angle beyond which one of both is wrong."""
+
+EXCHANGED: Final = (
+    "With left and right exchanged, the same observations fit the base of the cell file: left and right are exchanged "
+    "in the data, or the addresses of both controllers in the cell file. Correct that, and record again"
+)
 
 _CONTRADICTED: Final = 1e-3
 """Probability, over all observations of a calibration together, of rejecting one although all are right."""
@@ -72,6 +83,8 @@ class BaseEstimate:
         information: (6, 6) at the stated noise, for suggestions.
         normal: Information on all unknown poses, (6 + 6 constants,) square, for suggestions.
         weakest: Direction that the observations determine least.
+        exchanged: True if the estimate is far from the approximate base, and that of the same observations with left
+            and right exchanged is near it.
     """
 
     pose: Array
@@ -83,11 +96,22 @@ class BaseEstimate:
     information: Array
     normal: Array
     weakest: Direction
+    exchanged: bool = False
 
     @property
     def position_m(self) -> Array:
         """(3,) position of the right `base` in the left one."""
         return self.pose[:3, 3]
+
+    def distance_from(self, pose: Array) -> tuple[float, float]:
+        """Return how far the estimate is from a pose (4, 4) of the right base in the left one, m and rad."""
+        rotation = rotvec_of(self.pose[:3, :3] @ pose[:3, :3].T)
+        return math.dist(self.position_m, pose[:3, 3]), float(np.linalg.norm(rotation))
+
+    def is_far_from(self, pose: Array) -> bool:
+        """Return True if the estimate is farther from a pose (4, 4) than `FAR_M` or `FAR_RAD`."""
+        distance_m, angle_rad = self.distance_from(pose)
+        return distance_m > FAR_M or angle_rad > FAR_RAD
 
     @cached_property
     def half_widths(self) -> Array:
@@ -181,9 +205,38 @@ def estimate(
 
     Raises:
         CalibrationError: There are too few observations, or all of them leave a direction undetermined, which the
-            message names together with what to add; or most contradict each other, or the board has another size.
+            message names together with what to add; or most contradict each other, or the board has another size. If
+            they fit with left and right exchanged, the message says so.
     """
-    equations = Equations(observations, dh, noise or Noise(), near)
+    stated = noise or Noise()
+    try:
+        found = _estimated(observations, dh, near, stated)
+    except CalibrationError as error:
+        if _fits_exchanged(observations, dh, near, stated):
+            raise CalibrationError(f"{error}. {EXCHANGED}") from error
+        raise
+    exchanged = found.is_far_from(near) and _fits_exchanged(observations, dh, near, stated)
+    return replace(found, exchanged=exchanged)
+
+
+def _fits_exchanged(
+    observations: Sequence[Observation], dh: tuple[DHParameters, DHParameters], near: Array, noise: Noise
+) -> bool:
+    """Return True if the observations with left and right exchanged put the right base near the approximate one."""
+    for tips in (True, False):  # exchanged addresses exchange the joint angles, and not the tips of the cell file
+        try:
+            found = _estimated([each.exchanged(tips=tips) for each in observations], dh, near, noise)
+        except CalibrationError:
+            continue
+        if not found.is_far_from(near):
+            return True
+    return False
+
+
+def _estimated(
+    observations: Sequence[Observation], dh: tuple[DHParameters, DHParameters], near: Array, noise: Noise
+) -> BaseEstimate:
+    equations = Equations(observations, dh, noise, near)
     every = np.ones(len(observations), dtype=np.bool_)
     robust = _solved(equations, equations.start, every, "soft_l1")
     _check_determined(equations, robust, every, observations)
@@ -259,8 +312,9 @@ def _check_determined(equations: Equations, fit: _Fit, kept: Mask, observations:
     direction = weakest(_information(fit.jacobian[rows])[0], fit.poses[0])
     unknown = fit.jacobian.shape[1]
     if direction.sigma_m > UNDETERMINED_M:
+        verb = "leaves" if kept.sum() == 1 else "leave"
         raise CalibrationError(
-            f"{_count(observations, kept)} leave {direction.text} of the right base undetermined (± "
+            f"{_count(observations, kept)} {verb} {direction.text} of the right base undetermined (± "
             f"{min(2e3 * direction.sigma_m, 1e4):.3g} mm at {LEVER_M:g} m; coordinates in the left base's frame). "
             f"{_remedy(observations, direction)}"
         )

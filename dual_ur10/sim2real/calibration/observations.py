@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, Literal
 
 from dual_ur10.errors import CalibrationError, SettingsError
@@ -43,6 +43,11 @@ class Touch:
         for name in ("left_tcp_m", "right_tcp_m"):
             _set(self, name, 3, _MOST_TCP_M)
 
+    def exchanged(self, *, tips: bool) -> Touch:
+        """Return the touch with the arms' joint angles exchanged, and their tips if so wanted."""
+        left_m, right_m = (self.right_tcp_m, self.left_tcp_m) if tips else (self.left_tcp_m, self.right_tcp_m)
+        return Touch(self.right_q_rad, self.left_q_rad, left_m, right_m)
+
 
 @dataclass(frozen=True)
 class BarPose:
@@ -62,6 +67,10 @@ class BarPose:
 
     def __post_init__(self) -> None:
         _check_joints(self)
+
+    def exchanged(self, *, tips: bool) -> BarPose:
+        """Return the pose with the arms exchanged; a bar has no tips."""
+        return BarPose(self.right_q_rad, self.left_q_rad, self.grasp)
 
 
 @dataclass(frozen=True)
@@ -97,6 +106,17 @@ class BoardView:
         _check_joints(self)
         _set(self, "position_m", 3, _MOST_BOARD_M)
         _set(self, "rotation_rad", 3, _MOST_RAD)
+
+    def exchanged(self, *, tips: bool) -> BoardView:
+        """Return the view with the arms' joint angles exchanged, and what carries camera and board with `tips`.
+
+        Raises:
+            CalibrationError: The arm that carries a part then has no joint angles.
+        """
+        others: dict[Carrier, Carrier] = {"left": "right", "right": "left", "fixed": "fixed"}
+        carriers = (self.camera_on, self.board_on)
+        camera, board = (others[each] if tips else each for each in carriers)
+        return replace(self, camera_on=camera, board_on=board, left_q_rad=self.right_q_rad, right_q_rad=self.left_q_rad)
 
 
 Observation = Touch | BarPose | BoardView

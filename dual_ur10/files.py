@@ -1,4 +1,4 @@
-"""Atomic writing of files."""
+"""Reading of regular files, and atomic writing."""
 
 from __future__ import annotations
 
@@ -7,6 +7,28 @@ import stat
 from pathlib import Path
 
 from dual_ur10.errors import DualUR10Error
+
+
+def read_regular(path: str | Path, most_bytes: int | None = None) -> bytes:
+    """Return the content of a regular file. Links are followed.
+
+    A pipe or a device, which could keep the caller waiting, is never read.
+
+    Args:
+        path: The file.
+        most_bytes: Size of a legal file. At most one byte more is read, so that the caller can refuse a longer one;
+            None: all of it is read.
+
+    Raises:
+        OSError: There is none, or it cannot be read.
+        ValueError: The path cannot be one.
+    """
+    number = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    if not stat.S_ISREG(os.fstat(number).st_mode):
+        os.close(number)
+        raise OSError("it is no regular file")
+    with os.fdopen(number, "rb") as file:
+        return file.read(-1 if most_bytes is None else most_bytes + 1)
 
 
 def check_target(path: str | Path) -> Path:

@@ -24,7 +24,7 @@ import numpy as np
 from pydantic import Field
 
 from dual_ur10.errors import CheckpointError, MissingExtraError, TrainingError
-from dual_ur10.files import write_text
+from dual_ur10.files import read_regular, write_text
 from dual_ur10.policies.evaluation.evaluate import evaluate
 from dual_ur10.policies.evaluation.results import Evaluation
 from dual_ur10.policies.learned import checkpoint, schema
@@ -296,7 +296,7 @@ def check_of(evaluation: Evaluation, steps: int, seconds: float) -> Check:
 
 def _training_of(path: Path) -> Training:
     try:
-        text = path.read_bytes()
+        text = read_regular(path, schema.MOST_BYTES)
     except FileNotFoundError:
         raise TrainingError(f"{path.parent} is no folder of a training: there is no {path.name}") from None
     except OSError as error:

@@ -16,6 +16,7 @@ from safetensors.numpy import load as _parsed
 from safetensors.numpy import save as _serialised
 
 from dual_ur10.errors import TrainingError
+from dual_ur10.files import read_regular
 from dual_ur10.policies.learned import schema
 
 Tensors = dict[str, NDArray[Any]]
@@ -99,7 +100,7 @@ def load_tensors(path: Path) -> Tensors:
         TrainingError: It cannot be read.
     """
     try:
-        return dict(_parsed(path.read_bytes()))
+        return dict(_parsed(read_regular(path)))
     except (OSError, safetensors.SafetensorError, KeyError, ValueError) as error:
         raise TrainingError(f"{path} cannot be read: {error!s:.200}") from error
 
@@ -107,7 +108,7 @@ def load_tensors(path: Path) -> Tensors:
 def _read(folder: Path) -> tuple[Tensors, dict[str, Any]]:
     tensors = load_tensors(folder / _TENSORS)
     try:
-        values = schema.loads((folder / _VALUES).read_bytes(), str(folder / _VALUES), TrainingError)
+        values = schema.loads(read_regular(folder / _VALUES, schema.MOST_BYTES), str(folder / _VALUES), TrainingError)
     except OSError as error:
         raise TrainingError(f"{folder / _VALUES} cannot be read: {error!s:.200}") from error
     if not isinstance(values, dict):

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from dual_ur10.errors import CalibrationError
-from dual_ur10.files import write_text
+from dual_ur10.files import read_regular, write_text
 from dual_ur10.sim2real.calibration.board import Board, Camera, calibrated_camera, located
 from dual_ur10.sim2real.calibration.observations import BarPose, BoardView, Carrier, Noise, Observation, Touch
 
@@ -198,13 +198,12 @@ def read(path: str | Path) -> DataFile:
     """
     path = Path(path)
     try:
-        if not path.is_file():
+        if not path.exists():
             raise CalibrationError(
                 f"there is no data file {path}: record observations with `--record touch` or `--record bar`, or "
                 "correct the name"
             )
-        with path.open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
+        content = read_regular(path, MAX_BYTES)
     except (OSError, ValueError) as error:
         if isinstance(error, CalibrationError):
             raise

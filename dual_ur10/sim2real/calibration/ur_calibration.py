@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from dual_ur10.errors import CalibrationError, SettingsError
+from dual_ur10.files import read_regular
 from dual_ur10.kinematics.ur10 import DHParameters
 from dual_ur10.sim2real.calibration.transforms import flange, rotation_of, transform
 from dual_ur10.types import Array
@@ -62,8 +63,7 @@ def read(path: str | Path, robot: str) -> DHParameters:
 
     path = Path(path)
     try:
-        with path.open("rb") as file:
-            content = file.read(_MAX_BYTES + 1)
+        content = read_regular(path, _MAX_BYTES)
         if len(content) > _MAX_BYTES:
             raise CalibrationError(f"{path} is longer than {_MAX_BYTES} bytes: name the file of a calibration")
         values = yaml.safe_load(content)

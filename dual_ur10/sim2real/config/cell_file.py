@@ -20,6 +20,7 @@ from pydantic import Field, PrivateAttr, ValidationError, model_validator
 from dual_ur10.assets.obstacles import Obstacle
 from dual_ur10.assets.settings import default_mount
 from dual_ur10.errors import CellFileError, SettingsError, UnknownNameError
+from dual_ur10.files import read_regular
 from dual_ur10.kinematics.robots import MODEL_OF_FAMILY, ROBOTS
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import CellConfig, HostedCell
@@ -370,10 +371,7 @@ def _text_of(path: str | Path) -> str:
                 f"there is no cell file {path}: write one with `python -m dual_ur10 cell new {path}`, or correct "
                 "the name"
             )
-        if not path.is_file():  # a pipe would keep us waiting
-            raise CellFileError(f"{path} is no regular file: name a cell file")
-        with path.open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
+        content = read_regular(path, MAX_BYTES)
     except (OSError, ValueError, RuntimeError) as error:
         if isinstance(error, CellFileError):
             raise

@@ -21,7 +21,7 @@ from dual_ur10.assets.settings import default_mount
 from dual_ur10.envs.core.options import EnvOptions
 from dual_ur10.envs.rendering.viewer import Viewer
 from dual_ur10.errors import AddressError, DualUR10Error, SettingsError
-from dual_ur10.files import write_text
+from dual_ur10.files import check_target, write_text
 from dual_ur10.ids import env_id_of
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import CellConfig
@@ -331,7 +331,7 @@ def write_cell_file(path: str | Path, description: Mapping[str, Any]) -> None:
         SettingsError: Another file exists there.
         DualUR10Error: The file cannot be written.
     """
-    path = Path(path)
+    path = check_target(path)
     if path.exists():
         try:
             kind = tomllib.loads(path.read_text()).get("kind")

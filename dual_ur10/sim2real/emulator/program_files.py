@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from dual_ur10.errors import ScriptError, SettingsError
+from dual_ur10.files import read_regular
 from dual_ur10.sim2real.emulator.script import Builtins, Program, read
 from dual_ur10.sim2real.emulator.script.splitter import PROGRAM_MAX
 
@@ -18,6 +19,8 @@ log = logging.getLogger(__name__)
 
 FILES_MAX: Final = 100
 """Most scripts of a folder."""
+
+_CHARACTER_BYTES: Final = 4  # the most that UTF-8 needs
 
 ROOTS: Final = ("/programs/", "/ursim/programs/")
 """Folders of the programs on a controller and in URSim, by which clients may name a file."""
@@ -37,7 +40,7 @@ def script_texts(folder: str | Path) -> dict[str, str]:
         raise SettingsError(f"{folder} has {len(paths)} scripts: at most {FILES_MAX} are served, name a smaller folder")
     for path in paths:
         try:
-            text = path.read_text(encoding="utf-8")
+            text = read_regular(path, _CHARACTER_BYTES * PROGRAM_MAX).decode("utf-8")
         except (OSError, UnicodeDecodeError) as error:
             raise SettingsError(f"the program {path} cannot be read: {error}") from error
         if len(text) > PROGRAM_MAX:

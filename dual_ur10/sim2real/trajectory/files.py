@@ -21,7 +21,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from dual_ur10.errors import TrajectoryError, UnknownNameError
-from dual_ur10.files import check_target
+from dual_ur10.files import check_target, read_regular
 from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, ResultCode
 from dual_ur10.types import Array
@@ -95,10 +95,9 @@ def read_trajectory(path: str | Path, *, number_points: bool = False, allow_part
     if kind is None:
         raise TrajectoryError(f"{path} has the suffix {path.suffix!r}: it must be one of {', '.join(FORMATS)}")
     try:
-        if not path.is_file():
+        if not path.exists():
             raise TrajectoryError(f"there is no file {path}: correct the name")
-        with path.open("rb") as file:
-            data = file.read(MOST_BYTES + 1)
+        data = read_regular(path, MOST_BYTES)
     except (OSError, ValueError) as error:
         if isinstance(error, TrajectoryError):
             raise

@@ -22,8 +22,9 @@ def lab(tmp_path):
     ("name", "options", "text"),
     [
         ("points.csv", ("--arm", "middle"), "'left', 'right'"),
-        ("points.csv", ("--continuous", "26"), "allowed are 0 to 25"),
-        ("points.csv", ("--continuous", "nan"), "allowed are 0 to 25"),
+        ("points.csv", ("--continuous", "26"), "more than 0, at most 25"),
+        ("points.csv", ("--continuous", "0"), "0.0 Hz: allowed is more than 0, at most 25"),
+        ("points.csv", ("--continuous", "nan"), "more than 0, at most 25"),
         ("points.json", (), "suffix must be .csv"),
         ("old.csv", (), "exists: choose another name"),
         ("points.csv", (), "127.0.0.8"),  # no controller is there

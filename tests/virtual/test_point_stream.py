@@ -228,7 +228,7 @@ def test_a_fault_of_either_arm_stops_both_and_is_latched(cell, fault, words, mod
     cell.ask("heal", arm="left")
     assert rests(cell)
     assert words in cell.fault
-    with pytest.raises(CellFaulted, match="cell clear"):
+    with pytest.raises(CellFaulted, match=r"call `\.clear\(\)` of the virtual cell"):
         stream(cell)
 
 

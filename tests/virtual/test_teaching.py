@@ -240,7 +240,7 @@ def test_a_fault_of_either_arm_ends_freedrive_of_both(cell, fault, words):
     cell.ask("heal", arm="left")
     assert is_free(cell) == [False, False]
     assert words in cell.fault
-    with pytest.raises(CellFaulted, match="cell clear"):
+    with pytest.raises(CellFaulted, match=r"\.clear\(\)"):
         HandGuiding(cell.file, system=cell.system)
 
 

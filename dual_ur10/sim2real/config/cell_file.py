@@ -48,6 +48,9 @@ from dual_ur10.sim2real.config.perturbation import Perturbation
 MAX_BYTES: Final = 64 * 1024
 MAX_DOTS: Final = 100  # in one line
 
+VIRTUAL: Final = "the virtual cell"
+"""Source of a cell that has no file, because it is virtual."""
+
 # For first runs. 0.25 m/s is what ISO 10218-1 calls reduced speed.
 FIRST_SPEED_FACTOR: Final = 0.25
 FIRST_SPEED_RAD_S: Final = 0.5
@@ -157,6 +160,13 @@ class CellFile(Table):
     def obstacles(self) -> tuple[Obstacle, ...]:
         """Obstacles in the workspace, as scenes take them."""
         return tuple(each.obstacle for each in self.obstacle)
+
+    @property
+    def clearing(self) -> str:
+        """Step that clears a latched stop, for messages."""
+        if self.source == VIRTUAL:
+            return f"call `.clear()` of {VIRTUAL}"
+        return f"run `python -m dual_ur10 cell clear {self.source}`"
 
     def text(self) -> str:
         """Return the file with all defaults. Read again, it is equal to this."""

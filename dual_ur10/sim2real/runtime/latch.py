@@ -90,7 +90,7 @@ class Latch:
         if fault is not None:
             raise CellFaulted(
                 f"the arms were stopped at {fault.when_utc} UTC: {fault.text}. Check both arms, correct the "
-                f"cause, then run `python -m dual_ur10 cell clear {self._cell.source}`"
+                f"cause, then {self._cell.clearing}"
             )
 
     def clear(self) -> None:

@@ -287,8 +287,7 @@ class ProgrammedArms(Closing):
         if self._observer is not None:
             self._observer.stopped(reason)
         return CellFaulted(
-            f"both arms were stopped: {reason}. Check both, correct the cause, then run "
-            f"`python -m dual_ur10 cell clear {self._file.source}`"
+            f"both arms were stopped: {reason}. Check both, correct the cause, then {self._file.clearing}"
         )
 
     def close(self) -> None:

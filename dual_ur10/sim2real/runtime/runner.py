@@ -289,8 +289,7 @@ class Runner:
             raise StartError(f"{self._fault}. Nothing has moved: make the environment again")
         if self._fault:
             raise CellFaulted(
-                f"both arms were stopped: {self._fault}. Check both, correct the cause, then run "
-                f"`python -m dual_ur10 cell clear {self.file.source}`"
+                f"both arms were stopped: {self._fault}. Check both, correct the cause, then {self.file.clearing}"
             )
 
     def stop(self, reason: str) -> None:

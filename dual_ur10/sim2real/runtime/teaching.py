@@ -60,7 +60,9 @@ class PointRecorder:
         rate_hz: float | None = None,
     ) -> None:
         if rate_hz is not None and not 0.0 < rate_hz <= MOST_RATE_HZ:
-            raise SettingsError(f"the rate of a continuous record is {rate_hz!r} Hz: allowed are 0 to {MOST_RATE_HZ:g}")
+            raise SettingsError(
+                f"the rate of a continuous record is {rate_hz!r} Hz: allowed is more than 0, at most {MOST_RATE_HZ:g}"
+            )
         self._file, self._keys, self._say, self._rate_hz = file, keys, say, rate_hz
         self._rows = [ARMS.index(arm) for arm in arms]
         self._recent: deque[Guided] = deque(maxlen=math.ceil(STEADY_S * STATES_HZ))

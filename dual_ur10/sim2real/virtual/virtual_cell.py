@@ -11,7 +11,7 @@ from typing import Any, Self
 from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError, VirtualCellError
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import CellConfig
-from dual_ur10.sim2real.config.cell_file import CellFile
+from dual_ur10.sim2real.config.cell_file import VIRTUAL, CellFile
 from dual_ur10.sim2real.emulator.cell_requests import CellRequests
 from dual_ur10.sim2real.emulator.emulator import Emulator, EmulatorOptions, cell_of
 from dual_ur10.sim2real.links.json_link import JsonLink
@@ -86,7 +86,7 @@ class VirtualCell(CellRequests):
                 )
             self.description = self.emulator.description()
             self.description[ARMS[1]] = self.emulators[1].description()[ARMS[1]]
-            self.file = CellFile.read({**self.description, **(file or {})}, "the virtual cell")
+            self.file = CellFile.read({**self.description, **(file or {})}, VIRTUAL)
         except BaseException:
             self._folder.cleanup()
             raise

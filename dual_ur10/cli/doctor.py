@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, cast
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 from rich.markup import escape
@@ -13,6 +15,9 @@ from dual_ur10.cli.options import ArmFamily, ArmModel, Left, Right, console, fam
 from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics.ur10 import Family
 from dual_ur10.sim2real.config.cell_file import load_cell_file
+
+if TYPE_CHECKING:
+    from dual_ur10.sim2real.commissioning.findings import Finding
 
 _MARKS = {"ok": "[green]ok[/]", "warn": "[yellow]warn[/]", "fail": "[bold red]fail[/]"}
 
@@ -25,6 +30,9 @@ def doctor(
     right: Right = None,
     family: ArmFamily = None,
     robot: ArmModel = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the checks as an array of JSON, and no table.")
+    ] = False,
 ) -> None:
     """Check two UR controllers and report problems with their remedies. Nothing moves. Exit code 1 if a check fails."""
     from dual_ur10.sim2real.commissioning.doctor import check_cell, check_file
@@ -37,6 +45,26 @@ def doctor(
         findings = check_cell(*(ExpectedArm(host=host, family=controllers, model=robot) for host in (left, right)))
     else:
         raise SettingsError("name either a cell file, or both addresses with --left and --right")
+    if as_json:
+        typer.echo(json.dumps([_row(each) for each in findings], indent=1))
+    else:
+        _print(findings)
+    if any_fails(findings):
+        raise typer.Exit(1)
+
+
+def _row(each: Finding) -> dict[str, str]:
+    return {
+        "arm": each.arm,
+        "check": each.name,
+        "status": each.level,
+        "found": each.found,
+        "expected": each.expected,
+        "remedy": each.remedy,
+    }
+
+
+def _print(findings: Sequence[Finding]) -> None:
     table = Table(header_style="bold")
     for header in ("arm", "check", "", "found", "expected", "remedy"):
         table.add_column(header, overflow="fold")
@@ -50,5 +78,3 @@ def doctor(
     print_whole(table)
     counts = {level: sum(each.level == level for each in findings) for level in _MARKS}
     console.print(f"{counts['ok']} ok, {counts['warn']} warnings, {counts['fail']} failed", highlight=False)
-    if any_fails(findings):
-        raise typer.Exit(1)

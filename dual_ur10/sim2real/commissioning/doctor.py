@@ -6,19 +6,22 @@ once. Every step has a time limit, whatever a controller does.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import ipaddress
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from dual_ur10.errors import LinkError
-from dual_ur10.kinematics.ur10 import ARMS
+from dual_ur10.errors import LinkError, SettingsError
+from dual_ur10.kinematics.robots import ROBOTS
+from dual_ur10.kinematics.ur10 import ARMS, DHParameters
 from dual_ur10.sim2real.commissioning.findings import (
     NOT_REPORTED,
     ExpectedArm,
     Finding,
     Level,
+    SeenArm,
     any_fails,
     calibration_findings,
     expected_of,
@@ -30,6 +33,7 @@ from dual_ur10.sim2real.commissioning.findings import (
     safety_findings,
     state_findings,
     stream_findings,
+    swap_finding,
     tool_findings,
 )
 from dual_ur10.sim2real.config.cell_file import CellFile
@@ -58,6 +62,7 @@ REGISTERS: Final = (
 """Input registers through which `ur_rtde` commands its control script."""
 
 _IN_USE: Final = "IN_USE"
+_CLOSED: Final = "port "  # and its number: name of the finding
 _ROUND_TRIPS: Final = 20
 
 
@@ -77,9 +82,30 @@ class _ArmFacts:
     def deadline_s(self) -> float:
         return self.system.clock.now_s() + self.timeout_s
 
+    def seen(self) -> SeenArm:
+        """Return the identity that was read."""
+        if self.facts is None:
+            return SeenArm(serial_number=self.serial_number)
+        return SeenArm(
+            serial_number=self.serial_number,
+            robot_type=self.facts.robot_type,
+            checksums=self.facts.checksums,
+            dh=self._dh(self.facts),
+        )
+
+    @staticmethod
+    def _dh(facts: PrimaryFacts) -> DHParameters | None:
+        for robot in ROBOTS.values():
+            if robot.robot_type == facts.robot_type:
+                with contextlib.suppress(SettingsError):
+                    return facts.dh(robot.name)
+        return None
+
 
 def check_file(cell: CellFile, system: System = LOCAL, *, timeout_s: float = 1.5) -> list[Finding]:
     """Check both arms of a cell file. If the emulator that wrote it has ended, that is the first finding that fails.
+
+    It is the only one if nothing answers: closed ports follow from it.
 
     Args:
         cell: The cell file.
@@ -90,7 +116,9 @@ def check_file(cell: CellFile, system: System = LOCAL, *, timeout_s: float = 1.5
     pid = None if cell.emulator is None else cell.emulator.pid
     if pid is not None and any_fails(findings) and not system.is_running(pid):
         remedy = "start it again: `python -m dual_ur10 emulate --cell FILE` writes that file anew"
-        findings.insert(0, Finding("cell", "emulator", "fail", f"process {pid} has ended", "running", remedy))
+        ended = Finding("cell", "emulator", "fail", f"process {pid} has ended", "running", remedy)
+        answered = [each for each in findings if each.arm in ARMS and not each.name.startswith(_CLOSED)]
+        findings = [ended, *findings] if answered else [ended]
     return findings
 
 
@@ -102,7 +130,7 @@ def check_cell(
     observe_s: float = 0.3,
     system: System = LOCAL,
 ) -> list[Finding]:
-    """Check both arms as `check_arm` does, and that they are two. It takes no longer than one arm.
+    """Check both arms as `check_arm` does, that they are two, and not swapped. It takes no longer than one arm.
 
     Raises:
         SettingsError: A time is not legal.
@@ -115,7 +143,8 @@ def check_cell(
         return [same, *check_arm(ARMS[0], left, timeout_s=timeout_s, observe_s=observe_s, system=system)]
     arms = [_ArmFacts(name, each, timeout_s, observe_s, system) for name, each in zip(ARMS, (left, right), strict=True)]
     findings = in_parallel(system, [functools.partial(_examine, arm) for arm in arms])
-    return [*_distinct(*arms), *findings[0], *findings[1]]
+    swapped = swap_finding((left, right), (arms[0].seen(), arms[1].seen()))
+    return [*([] if swapped is None else [swapped]), *_distinct(*arms), *findings[0], *findings[1]]
 
 
 def check_arm(
@@ -198,7 +227,7 @@ def _ports(arm: _ArmFacts) -> tuple[list[Finding], set[str]]:
             LinkSocket(arm.name, f"port {name}", arm.expected.host, port, deadline_s, system=arm.system).close()
         except LinkError as error:
             closed.add(name)
-            findings.append(link_failure(arm.name, f"port {port}", error))
+            findings.append(link_failure(arm.name, f"{_CLOSED}{port}", error))
     if not closed:
         numbers = ", ".join(map(str, PORTS.values()))
         findings.append(Finding(arm.name, "ports", "ok", f"{numbers} are open", "open"))
@@ -242,7 +271,7 @@ def _rtde(arm: _ArmFacts) -> Iterator[Finding]:
         status = ArmStatus.from_sample(samples[-1])
         yield from state_findings(arm.name, status)
         yield from tool_findings(arm.name, arm.expected, status)
-    yield from stream_findings(arm.name, samples, link.frequency_hz)
+    yield from stream_findings(arm.name, samples, link.frequency_hz, loopback=is_loopback(host))
     yield from _registers(arm)
 
 
@@ -271,7 +300,7 @@ def _registers(arm: _ArmFacts) -> Iterator[Finding]:
         number, types = client.set_up(Kind.SETUP_INPUTS, REGISTERS, b"", deadline_s)
     finally:
         client.socket.close_and_wait(arm.deadline_s())
-    yield from round_trip_findings(arm.name, round_trips_s)
+    yield from round_trip_findings(arm.name, round_trips_s, loopback=is_loopback(arm.expected.host))
     taken = [name for name, kind in zip(REGISTERS, types, strict=True) if kind == _IN_USE]
     missing = [name for name, kind in zip(REGISTERS, types, strict=True) if kind not in ("INT32", "DOUBLE", _IN_USE)]
     if missing:

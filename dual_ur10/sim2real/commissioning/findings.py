@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -48,6 +48,7 @@ _CONFIGURATIONS_RAD = (
 )
 
 NOT_REPORTED = "not reported by this software"
+_TOO_BUSY = "this computer, on which the controller is emulated, is too busy: end what else loads it"
 _GIVE = "add it to the cell file, so that it is compared"
 _TO_PENDANT = "correct it in the installation on the pendant, or in the cell file, whichever is wrong"
 
@@ -163,6 +164,58 @@ def expected_of(arm: ArmEntry) -> ExpectedArm:
         payload_cog_m=arm.payload_cog_m,
         serial_number=arm.serial_number,
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeenArm:
+    """Identity of an arm, as far as its controller reported it.
+
+    Attributes:
+        serial_number: Serial number of the robot.
+        robot_type: UR's number of the model.
+        checksums: (6,) checksums of the calibration.
+        dh: Calibrated kinematics.
+    """
+
+    serial_number: str | None = None
+    robot_type: int | None = None
+    checksums: tuple[int, ...] | None = None
+    dh: DHParameters | None = None
+
+
+def swap_finding(expected: tuple[ExpectedArm, ExpectedArm], seen: tuple[SeenArm, SeenArm]) -> Finding | None:
+    """Return the finding that each controller is the other arm's; None: nothing says so.
+
+    Args:
+        expected: Expected properties of the left and the right arm. What both have in common tells nothing.
+        seen: What their controllers reported.
+    """
+    traits = {
+        "serial number": ([each.serial_number for each in expected], [each.serial_number for each in seen]),
+        "calibration checksums": ([each.checksums for each in expected], [each.checksums for each in seen]),
+        "calibration": ([each.dh for each in expected], [each.dh for each in seen]),
+        "model": ([each.robot.robot_type for each in expected], [each.robot_type for each in seen]),
+    }
+    names = [name for name, (wanted, found) in traits.items() if _is_crossed(wanted, found)]
+    if not names:
+        return None
+    found = f"each controller has the {' and the '.join(names)} of the other arm"
+    remedy = "the addresses are swapped: exchange left.host and right.host in the cell file"
+    return Finding("cell", "swapped addresses", "fail", found, "those of its own arm", remedy)
+
+
+def _is_crossed(wanted: Sequence[Any], found: Sequence[Any]) -> bool:
+    """Return True if what was found is as wanted of the other arm, wherever both are known, and not of its own."""
+    if _are_same(*wanted):
+        return False
+    crossed = [_are_same(*each) for each in zip(found, reversed(wanted), strict=True) if None not in each]
+    return bool(crossed) and all(crossed) and not any(map(_are_same, found, wanted))
+
+
+def _are_same(one: Any, other: Any) -> bool:
+    if isinstance(one, DHParameters) and isinstance(other, DHParameters):
+        return flange_error_m(one, other) <= OTHER_CALIBRATION_M
+    return bool(one is not None and one == other)
 
 
 def family_findings(arm: str, expected: ExpectedArm, version: Version) -> Iterator[Finding]:
@@ -287,15 +340,19 @@ def flange_error_m(found: DHParameters, expected: DHParameters) -> float:
     return float(np.linalg.norm(one - other, axis=-1).max())
 
 
-def stream_findings(arm: str, samples: Sequence[Sample], rate_hz: float) -> Iterator[Finding]:
+def stream_findings(
+    arm: str, samples: Sequence[Sample], rate_hz: float, *, loopback: bool = False
+) -> Iterator[Finding]:
     """Check that the controller's state comes at its rate and evenly.
 
     Args:
         arm: Name of the arm.
         samples: Consecutive samples.
         rate_hz: Expected rate.
+        loopback: True if the controller is emulated on this computer.
     """
     remedy = "use a wired network of its own, and check what else loads the controller and this computer"
+    remedy = _TOO_BUSY if loopback else remedy
     if len(samples) < 2 or samples[-1].timestamp_s <= samples[0].timestamp_s:
         found = f"{len(samples)} samples, whose time does not advance"
         yield Finding(arm, "RTDE rate", "fail", found, f"{rate_hz:g} Hz", remedy)
@@ -312,16 +369,18 @@ def stream_findings(arm: str, samples: Sequence[Sample], rate_hz: float) -> Iter
     yield judge(arm, "RTDE jitter", jitter_s <= most_s, found, most, remedy, otherwise=level)
 
 
-def round_trip_findings(arm: str, round_trips_s: Sequence[float]) -> Iterator[Finding]:
+def round_trip_findings(arm: str, round_trips_s: Sequence[float], *, loopback: bool = False) -> Iterator[Finding]:
     """Check that answers come soon enough for a target to arrive in its control period.
 
     Args:
         arm: Name of the arm.
         round_trips_s: Measured times, at least one.
+        loopback: True if the controller is emulated on this computer.
     """
     median, worst = float(np.median(round_trips_s)), max(round_trips_s)
     found = f"{1e3 * median:.2f} ms, at worst {1e3 * worst:.2f} ms of {len(round_trips_s)}"
-    most, remedy = f"at most {1e3 * MOST_ROUND_TRIP_S:g} ms", "use a wired network of its own, without routers"
+    most = f"at most {1e3 * MOST_ROUND_TRIP_S:g} ms"
+    remedy = _TOO_BUSY if loopback else "use a wired network of its own, without routers"
     level: Level = "fail" if median > MOST_ROUND_TRIP_S else "warn"
     yield judge(arm, "round trip", worst <= MOST_ROUND_TRIP_S, found, most, remedy, otherwise=level)
 

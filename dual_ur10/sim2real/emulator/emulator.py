@@ -188,6 +188,7 @@ class Emulator:
                 "model": mount.robot,
                 "base_position_m": list(mount.position_m),
                 "base_yaw_rad": mount.yaw_rad,
+                **_serial_number(server.controller),
                 **({"gripper": {"kind": "robotiq"}} if server.gripper is not None else {}),
             }
             for name, server, mount in zip(ARMS, self.servers, (config.left, config.right), strict=True)
@@ -298,6 +299,12 @@ def cell_of(options: EmulatorOptions) -> CellConfig:
     if family is None:
         return CellConfig(left=left, right=right)
     return CellConfig(left=left, right=right, servoj=ServojProfile(profile_of(family).family))
+
+
+def _serial_number(controller: Controller) -> dict[str, str]:
+    """Return the key of the cell file by which swapped addresses are found, where the dashboard reports it."""
+    profile = controller.profile
+    return {"serial_number": profile.serial_number} if profile.at_least((5, 6), (3, 12)) else {}
 
 
 def _gripper_width(server: ArmServer, tick_s: float, width_m: float | None) -> float | None:

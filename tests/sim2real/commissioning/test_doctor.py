@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import json
 import re
 
 import numpy as np
@@ -17,12 +18,14 @@ from dual_ur10.sim2real.commissioning.doctor import REGISTERS
 from dual_ur10.sim2real.commissioning.findings import (
     ExpectedArm,
     Finding,
+    SeenArm,
     any_fails,
     calibration_findings,
     flange_error_m,
     round_trip_findings,
     safety_findings,
     stream_findings,
+    swap_finding,
     tool_findings,
 )
 from dual_ur10.sim2real.config.cell_file import CellFile
@@ -333,6 +336,18 @@ def test_findings_of_round_trips(times, level):
     assert finding.level == level
 
 
+def test_a_late_emulated_controller_is_the_fault_of_this_machine():
+    late = samples(np.arange(50) / 125, {10: 0.02}.items())
+    for loopback in (False, True):
+        findings = [
+            *stream_findings("left", late, 125.0, loopback=loopback),
+            *round_trip_findings("left", [0.02], loopback=loopback),
+        ]
+        remedies = [each.remedy for each in findings if each.level != "ok"]
+        assert ["too busy" in each for each in remedies] == [loopback] * 2
+        assert ["network" in each for each in remedies] == [not loopback] * 2
+
+
 def test_a_rotation_by_pi_has_two_vectors():
     status = status_of(tcp_offset=(0.0, 0.0, 0.1, np.pi, 0.0, 0.0))
     (tcp, _) = tool_findings("left", ExpectedArm(host="127.0.0.1", tcp=(0.0, 0.0, 0.1, -np.pi, 0.0, 0.0)), status)
@@ -412,6 +427,55 @@ def test_an_emulator_that_has_ended_is_named_first(cb3, tmp_path):
     gone = CellFile.read({**values, "left": {**values["left"], "host": "127.0.0.9"}}, "cell.toml")
     first = doctor.check_file(gone, cb3.system)[0]
     assert first.message.startswith("cell, emulator: process 2147483647 has ended, expected: running; start it again")
+    both = {arm: {**values[arm], "host": host} for arm, host in (("left", "127.0.0.9"), ("right", "127.0.0.10"))}
+    assert doctor.check_file(CellFile.read({**values, **both}, "cell.toml"), cb3.system) == [first]  # no port beside it
+
+
+UNSEEN = SeenArm()
+
+
+def swapped(first, second, left=UNSEEN, right=UNSEEN):
+    """Finding of a swap, from what both controllers report."""
+    return swap_finding((first, second), (left, right))
+
+
+OTHER_DH = dataclasses.replace(NOMINAL_DH, a_m=tuple(each + 0.003 for each in DH_A_M))
+ONE, TWO = ExpectedArm(host="10.0.0.1"), ExpectedArm(host="10.0.0.2")
+
+
+@pytest.mark.parametrize(
+    ("name", "left", "right"),
+    [
+        ("serial_number", "1", "2"),
+        ("checksums", (1,) * 6, (2,) * 6),
+        ("dh", NOMINAL_DH, OTHER_DH),
+        ("model", "ur10", "ur5"),
+    ],
+)
+def test_swapped_addresses_are_named_by_all_that_tells_arms_apart(name, left, right):
+    one, two = dataclasses.replace(ONE, **{name: left}), dataclasses.replace(TWO, **{name: right})
+    if name == "model":
+        seen, other = SeenArm(robot_type=one.robot.robot_type), SeenArm(robot_type=two.robot.robot_type)
+    else:
+        seen, other = SeenArm(**{name: left}), SeenArm(**{name: right})
+    assert swapped(one, two, left=seen, right=other) is None
+    finding = swapped(one, two, left=other, right=seen)
+    assert (finding.arm, finding.name, finding.level) == ("cell", "swapped addresses", "fail")
+    assert "exchange left.host and right.host" in finding.remedy
+    assert swapped(one, two, left=other) is not None  # as far as it can be told
+    assert swapped(one, dataclasses.replace(two, **{name: left}), left=other, right=seen) is None  # equal arms
+    assert swapped(one, two, left=other, right=other) is None  # one controller twice is another fault
+    if name != "model":  # which every file has
+        assert swapped(one, TWO, right=seen) is not None  # one of both is described
+
+
+def test_swapped_addresses_of_an_emulated_file_are_refused(cb3):
+    left, right = cb3.description["left"], cb3.description["right"]
+    assert left["serial_number"] != right["serial_number"]
+    values = {**cb3.description, "left": {**left, "host": cb3.right}, "right": {**right, "host": cb3.left}}
+    findings = doctor.check_file(CellFile.read(values, "cell.toml"), cb3.system)
+    assert findings[0].name == "swapped addresses"
+    assert [each.name for each in findings if each.level == "fail"] == ["swapped addresses", *["serial number"] * 2]
 
 
 def test_the_safety_mode_comes_before_the_power_that_it_took(cb3):
@@ -457,6 +521,19 @@ def test_nothing_is_wrapped_in_a_pipe(cb3):
     rows = [line for line in text.splitlines() if line.startswith("│")]
     assert all(line.split("│")[1].strip() for line in rows)  # a continued row has no arm
     assert any(f"0x{SAFETY:08x}" in line for line in rows)
+
+
+@pytest.mark.usefixtures("virtual_doctor")
+def test_rows_in_json(cb3):
+    cb3.ask("override", arm="left", safety_mode=3)
+    code, text = run("--left", cb3.left, "--right", cb3.right, "--json", width=80)
+    assert code == 1
+    rows = json.loads(text)
+    assert all(list(row) == ["arm", "check", "status", "found", "expected", "remedy"] for row in rows)
+    mode = next(row for row in rows if row["arm"] == "left" and row["check"] == "safety mode")
+    assert mode["status"] == "fail"
+    assert "PROTECTIVE" in mode["found"]
+    assert {row["status"] for row in rows} == {"ok", "warn", "fail"}
 
 
 @pytest.mark.parametrize(

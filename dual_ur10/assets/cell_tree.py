@@ -8,7 +8,7 @@ import xml.etree.ElementTree as ET
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final
 
-from dual_ur10.assets.arm import arm_tree, composer, quat_z
+from dual_ur10.assets.arm import arm_tree, composer
 from dual_ur10.assets.gripper import FINGER_JOINTS, add_gripper
 from dual_ur10.assets.obstacles import Box, Obstacle, Plane, geom_name
 from dual_ur10.assets.settings import TABLE_THICKNESS_M, SceneSettings
@@ -49,7 +49,7 @@ def cell_tree(settings: SceneSettings, *, rigid: bool = False) -> Any:
             add_gripper(arm, settings, rigid=rigid)
         frame = root.attach(arm)
         frame.pos = mount.position_m
-        frame.quat = quat_z(mount.yaw_rad)
+        frame.quat = mount.quat
     return root
 
 

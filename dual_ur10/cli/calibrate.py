@@ -257,12 +257,6 @@ def _print_estimate(found: BaseEstimate, doubt: str | None) -> None:
     )
     console.print(f"least known: {found.weakest.text}", highlight=False, soft_wrap=True)
     notes = [] if doubt is None else [escape(doubt)]
-    if found.is_tilted:
-        tilt = math.degrees(math.hypot(*found.tilt_rad))
-        notes.append(
-            f"the right base is tilted by {tilt:.3f}° against the left one: a cell file has no key for that, so it "
-            "counts as uncertainty. Level the bases against each other"
-        )
     if found.noise_scale > _NOISY:
         notes.append(
             f"the residuals are {found.noise_scale:.1f} times the stated noise: a tool offset or the kinematics of an "

@@ -14,7 +14,13 @@ from numpy.typing import ArrayLike
 
 from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics.robots import RobotModel, robot_model
-from dual_ur10.kinematics.rotations import quat_conjugate, quat_from_rotvec, quat_multiply, quat_to_matrix
+from dual_ur10.kinematics.rotations import (
+    quat_conjugate,
+    quat_from_rotvec,
+    quat_multiply,
+    quat_to_matrix,
+    quat_to_rotvec,
+)
 from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters, nominal_dh
 from dual_ur10.types import Array, Vector3, constant
 
@@ -66,6 +72,10 @@ MAX_MOUNT_M: Final = 3.0
 """Largest absolute coordinate of a base in the cell frame."""
 
 
+MAX_TILT_RAD: Final = math.radians(5)
+"""Largest tilt of a base about each axis: tables are more level, and arms on walls are another cell."""
+
+
 @dataclass(frozen=True)
 class ArmMount:
     """Pose of one arm's base, and the arm's kinematics.
@@ -73,23 +83,26 @@ class ArmMount:
     Attributes:
         position_m: (3,) position of `base_link` in the cell frame.
         yaw_rad: Rotation of `base_link` about the cell's z axis; 0 faces +x.
+        tilt_rad: (2,) tilt of `base_link` after that: x and y of a rotation vector in the cell frame, whose z is 0.
         dh: Kinematics of this arm, nominal or as calibrated. Left out: the nominal ones of its model.
         robot: Model of the arm, a name in `dual_ur10.kinematics.robots.ROBOTS`.
 
     Raises:
         UnknownNameError: There is no such model.
-        SettingsError: A number is not finite, more than 3 m from the cell's origin, below the floor, or beyond ±2π; or
-            the kinematics are those of another model.
+        SettingsError: A number is not finite, more than 3 m from the cell's origin, below the floor, or beyond ±2π; the
+            tilt exceeds 5° about an axis; or the kinematics are those of another model.
     """
 
     position_m: Vector3
     yaw_rad: float = 0.0
     dh: DHParameters = NOMINAL_DH
     robot: str = "ur10"
+    tilt_rad: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         position = finite_floats("mount position_m", self.position_m, 3)
         (yaw,) = finite_floats("mount yaw_rad", (self.yaw_rad,), 1)
+        tilt = finite_floats("mount tilt_rad", self.tilt_rad, 2)
         if max(map(abs, position)) > MAX_MOUNT_M or position[2] < FLOOR_Z_M:
             raise SettingsError(
                 f"mount position_m is {position}: each coordinate must be within ±{MAX_MOUNT_M} m and z not below "
@@ -97,6 +110,11 @@ class ArmMount:
             )
         if abs(yaw) > 2 * math.pi:
             raise SettingsError(f"mount yaw_rad is {yaw:.6g}: must be within ±2π (radians, not degrees)")
+        if max(map(abs, tilt)) > MAX_TILT_RAD:
+            raise SettingsError(
+                f"mount tilt_rad is {tilt}: at most {math.degrees(MAX_TILT_RAD):g}° about each axis are allowed "
+                f"(±{MAX_TILT_RAD:.4f} rad). Level the base"
+            )
         if not isinstance(self.dh, DHParameters):
             raise SettingsError(f"mount dh must be DHParameters, found {type(self.dh).__name__}")
         model = robot_model(self.robot)
@@ -108,17 +126,35 @@ class ArmMount:
             )
         object.__setattr__(self, "position_m", position)
         object.__setattr__(self, "yaw_rad", yaw)
+        object.__setattr__(self, "tilt_rad", tilt)
 
     @property
     def model(self) -> RobotModel:
         """Facts of the arm's model."""
         return robot_model(self.robot)
 
+    @property
+    def tilt_quat(self) -> Array:
+        """(4,) tilt of `base_link` as a quaternion, in the cell frame."""
+        return quat_from_rotvec(np.array([*self.tilt_rad, 0.0]))
+
+    @property
+    def quat(self) -> Array:
+        """(4,) orientation of `base_link` in the cell frame."""
+        return quat_multiply(self.tilt_quat, quat_from_rotvec(np.array([0.0, 0.0, self.yaw_rad])))
+
+
+def yaw_and_tilt(quat: Array) -> tuple[float, tuple[float, float]]:
+    """Return the `yaw_rad` and `tilt_rad` of a mount whose `base_link` has an orientation, (4,), in the cell frame."""
+    yaw_rad = math.remainder(2.0 * math.atan2(quat[3], quat[0]), 2.0 * math.pi)
+    x, y, _ = quat_to_rotvec(quat_multiply(quat, quat_from_rotvec(np.array([0.0, 0.0, -yaw_rad])))).tolist()
+    return yaw_rad, (x, y)
+
 
 def to_base(mounts: tuple[ArmMount, ArmMount]) -> tuple[Array, Array]:
     """Return base positions (2, 3), and rotations (2, 3, 3) of cell frame vectors into each arm's own `base` frame."""
-    yaw = quat_to_matrix(quat_from_rotvec(np.array([[0.0, 0.0, mount.yaw_rad] for mount in mounts])))
-    rotation = (yaw @ BASE_TO_BASE_LINK).swapaxes(-1, -2)
+    links = quat_to_matrix(np.stack([mount.quat for mount in mounts]))
+    rotation = (links @ BASE_TO_BASE_LINK).swapaxes(-1, -2)
     return np.array([mount.position_m for mount in mounts]), rotation
 
 
@@ -144,7 +180,12 @@ class Frames:
 
     def __init__(self, mounts: tuple[ArmMount, ArmMount]) -> None:
         self.base_m, self.rotation = to_base(mounts)
-        rotations = [quat_from_rotvec(np.array([0.0, 0.0, -np.pi - mount.yaw_rad])) for mount in mounts]
+        rotations = [
+            quat_multiply(
+                quat_from_rotvec(np.array([0.0, 0.0, -np.pi - mount.yaw_rad])), quat_conjugate(mount.tilt_quat)
+            )
+            for mount in mounts
+        ]
         self.quat_products = np.stack([left_product(each) for each in rotations])
         self._back = np.stack([left_product(quat_conjugate(each)) for each in rotations])
 

@@ -8,7 +8,7 @@ import json
 import numpy as np
 import pytest
 
-from dual_ur10.errors import CalibrationError, CellFileError, StartError
+from dual_ur10.errors import CalibrationError, CellFileError, SettingsError, StartError
 from dual_ur10.sim2real.analysis.cell_update import write_bases
 from dual_ur10.sim2real.calibration.estimate import estimate
 from dual_ur10.sim2real.calibration.recording import emulated_base, read_joints
@@ -146,14 +146,30 @@ def test_the_uncertainty_of_the_left_base_stays_in_that_of_the_right_one(lab, tm
         write_bases(lab, found_base(), "t.json", day=DAY, out=out)
 
 
-@pytest.mark.parametrize(
-    ("keywords", "accept_m", "text"),
-    [({}, 1e-4, "--suggest"), ({"rotation_rad": (0.002, 0.0, 0.0)}, 1e-3, "tilt of the right base")],
-)
-def test_an_uncertain_base_is_not_written(lab, keywords, accept_m, text):
+def test_a_tilted_base_is_written(lab):
+    found = found_base(rotation_rad=(0.006, -0.008, 0.02))
+    write_bases(lab, found, "t.json", day=DAY)
+    cell = load_cell_file(lab)
+    np.testing.assert_allclose(right_in_left(cell.left.mount, cell.right.mount), found.pose, atol=2e-7)
+    assert np.linalg.norm(cell.right.base_tilt_rad) == pytest.approx(0.01, abs=1e-3)
+    assert cell.base_to_base.uncertainty_rad < 5e-4
+    level = lab.read_text().replace(f"base_tilt_rad = {[*cell.right.base_tilt_rad]}", "base_tilt_rad = [0.0, 0.0]")
+    lab.write_text(level)
+    with pytest.raises(CellFileError, match=r"base_to_base: the bases stand .* 0\.01 rad otherwise"):
+        load_cell_file(lab)
+
+
+def test_a_base_on_a_slope_is_not_written(lab):
     before = lab.read_text()
-    with pytest.raises(CalibrationError, match=rf"uncertain by .*{text}.*Nothing was written"):
-        write_bases(lab, found_base(**keywords), "t.json", day=DAY, accept_m=accept_m)
+    with pytest.raises(SettingsError, match=r"tilt_rad is .*: at most 5° about each axis .* Level the base"):
+        write_bases(lab, found_base(rotation_rad=(0.1, 0.0, 0.0)), "t.json", day=DAY)
+    assert lab.read_text() == before
+
+
+def test_an_uncertain_base_is_not_written(lab):
+    before = lab.read_text()
+    with pytest.raises(CalibrationError, match=r"uncertain by .*--suggest.*Nothing was written"):
+        write_bases(lab, found_base(), "t.json", day=DAY, accept_m=1e-4)
     assert lab.read_text() == before
     assert list(lab.parent.iterdir()) == [lab]
 

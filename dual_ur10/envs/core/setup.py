@@ -149,6 +149,7 @@ class EnvSetup:
             dh=[mount.dh for mount in mounts],
             tcp_m=TCP_M if equipment.grippers else 0.0,
             yaw_rad=[mount.yaw_rad for mount in mounts],
+            tilt_rad=[mount.tilt_rad for mount in mounts],
             speed_factor=config.speed_factor,
             lookahead_s=config.measured_lookahead_s,
             threads=threads,

@@ -13,6 +13,7 @@ from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.envs.sim.feedforward import GRAVITY_M_S2
 from dual_ur10.errors import ActionError
 from dual_ur10.kernel import RowLoop, Struct
+from dual_ur10.kinematics.frames import to_base
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import CellConfig, Start
 from dual_ur10.types import Array, Rows
@@ -127,7 +128,6 @@ class Handling:
         left, right = (model.body(f"{arm}/gripper").id for arm in ARMS)
         self._orientations: Array = batch.bind("xquat")[:, left : right + 1 : right - left]
         mass_kg, lever_m = _weight(model)
-        # Bases are upright: their z points against gravity.
         weight_n = mass_kg * GRAVITY_M_S2
         self._kp = float(model.actuator("left/gripper").gainprm[0])
         self._sensed: Array = np.zeros((n, 2, 2, 3))
@@ -138,6 +138,9 @@ class Handling:
             n=n,
             weight_n=weight_n,
             moment_nm=weight_n * lever_m,
+            up=np.ascontiguousarray(
+                to_base(settings.mounts)[1][:, :, 2]
+            ),  # controllers know how their bases are mounted
             sensed=self._sensed,
             quat=self._base_quat,
             wrench=self._computed,

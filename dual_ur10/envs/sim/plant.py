@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dual_ur10.assets.settings import SceneSettings
-from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_to_matrix
+from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply, quat_to_matrix
 from dual_ur10.kinematics.ur10 import ARMS, LINKS
 from dual_ur10.sim2real.config.perturbation import Perturbation
 from dual_ur10.types import Array, Rows
@@ -59,7 +59,7 @@ class Plant:
                 turn = np.zeros((len(rows), 3))
                 turn[:, 2] = mount.yaw_rad + values["base_turn_rad"][rows, arm]
                 position[rows, body] = model.body_pos[body] + values["base_shift_m"][rows, arm]
-                quat[rows, body] = quat_from_rotvec(turn)
+                quat[rows, body] = quat_multiply(mount.tilt_quat, quat_from_rotvec(turn))
             constants = True
         if constants:
             batch.set_const(ids=rows)

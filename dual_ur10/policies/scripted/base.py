@@ -11,7 +11,7 @@ from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.envs.tasks.task import Task, Timing
 from dual_ur10.errors import ActionError, SettingsError
 from dual_ur10.kinematics import nearest
-from dual_ur10.kinematics.frames import ArmMount
+from dual_ur10.kinematics.frames import ArmMount, Frames
 from dual_ur10.kinematics.poses import Poses
 from dual_ur10.kinematics.rotations import quat_to_matrix
 from dual_ur10.sim2real.control.limits import MotionLimits
@@ -97,9 +97,15 @@ def on_table(pose: Poses, mounts: Sequence[ArmMount], height_m: float) -> Poses:
 
     Args:
         pose: Measured, with errors.
-        mounts: Of the arms, upright.
+        mounts: Of the arms.
         height_m: Height of the object's centre above the table.
     """
+    if any(any(mount.tilt_rad) for mount in mounts):
+        frames = Frames((mounts[0], mounts[1]))
+        position, quat = frames.position_to_cell(pose.position_m), frames.quat_to_cell(pose.quat)
+        position[..., 2], quat[..., 1:3] = height_m, 0.0
+        quat /= np.linalg.norm(quat, axis=-1, keepdims=True)
+        return Poses(frames.position_to_base(position), frames.quat_to_base(quat))
     position, quat = pose.position_m.copy(), np.zeros_like(pose.quat)
     position[..., 2] = height_m - np.array([mount.position_m[2] for mount in mounts])
     quat[..., 0], quat[..., 3] = pose.quat[..., 0], pose.quat[..., 3]

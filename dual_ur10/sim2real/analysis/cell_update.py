@@ -117,12 +117,12 @@ def write_bases(
     left, right = cell.arms
     mount = found.mount(left.mount, right.mount.dh)
     left_at = left.base_position_m or ZERO
-    position, yaw = tuple(round(each, _DIGITS) for each in mount.position_m), round(mount.yaw_rad, _DIGITS)
     position_m, rotation_rad = found.mount_uncertainty
     relative = found.mount(ArmMount(ZERO), right.mount.dh)
     base_to_base = BaseToBase(
-        position_m=tuple(round(each, _DIGITS) for each in relative.position_m),  # type: ignore[arg-type]  # three
+        position_m=_rounded(relative.position_m),  # type: ignore[arg-type]  # three
         yaw_rad=round(relative.yaw_rad, _DIGITS),
+        tilt_rad=_rounded(relative.tilt_rad),  # type: ignore[arg-type]  # two
         uncertainty_m=_rounded_up(position_m),
         uncertainty_rad=_rounded_up(rotation_rad),
         date=day.isoformat(),
@@ -130,8 +130,9 @@ def write_bases(
     )
     apart_m = math.dist(left_at, mount.position_m)
     values = {
-        "base_position_m": position,
-        "base_yaw_rad": yaw,
+        "base_position_m": _rounded(mount.position_m),
+        "base_yaw_rad": round(mount.yaw_rad, _DIGITS),
+        "base_tilt_rad": _rounded(mount.tilt_rad),
         "base_uncertainty_m": _rounded_up(left.base_uncertainty_m + left.base_uncertainty_rad * apart_m + position_m),
         "base_uncertainty_rad": _rounded_up(left.base_uncertainty_rad + rotation_rad),
     }
@@ -181,17 +182,10 @@ def check_accepted(found: BaseEstimate, accept_m: float) -> None:
     if found.uncertainty_at_lever_m <= accept_m:
         return
     position_m, rotation_rad = found.mount_uncertainty
-    tilt = float(math.hypot(*found.tilt_rad))
-    if found.is_tilted and position_m + LEVER_M * (rotation_rad - tilt) <= accept_m:
-        remedy = (
-            f"{1e3 * LEVER_M * tilt:.2g} mm of it are the tilt of the right base against the left one, for which a "
-            "cell file has no key: level the bases against each other, or accept more with --accept-m"
-        )
-    else:
-        remedy = (
-            f"{found.weakest.text} of the right base is known least: add observations (`--suggest` names one), or "
-            "accept more with --accept-m"
-        )
+    remedy = (
+        f"{found.weakest.text} of the right base is known least: add observations (`--suggest` names one), or "
+        "accept more with --accept-m"
+    )
     raise CalibrationError(
         f"the right base is uncertain by {1e3 * position_m:.3g} mm and {math.degrees(rotation_rad):.3g}°, together "
         f"{1e3 * found.uncertainty_at_lever_m:.3g} mm at {LEVER_M:g} m, accepted are {1e3 * accept_m:g} mm: {remedy}. "
@@ -208,6 +202,10 @@ def calibration_of(dh: DHParameters, checksum: Sequence[int] | None = None) -> C
         theta_rad=dh.theta_rad,  # type: ignore[arg-type]
         checksum=None if checksum is None else tuple(checksum),  # type: ignore[arg-type]
     )
+
+
+def _rounded(values: Sequence[float]) -> tuple[float, ...]:
+    return tuple(round(each, _DIGITS) for each in values)
 
 
 def _rounded_up(value: float) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -15,6 +16,7 @@ from dual_ur10.assets.settings import Equipment
 from dual_ur10.errors import CellFileError, RecordingError, SettingsError, UnknownNameError
 from dual_ur10.ids import ENTRY_POINTS
 from dual_ur10.kinematics.frames import ArmMount
+from dual_ur10.kinematics.rotations import quat_conjugate, quat_multiply, quat_to_rotvec
 from dual_ur10.kinematics.ur10 import ARMS, TICK_S, DHParameters
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.config.cell_file import examine_text, resolve_cell
@@ -208,12 +210,13 @@ def check_replayable(header: Header, config: CellConfig) -> None:
         )
     for arm, there, here in zip(ARMS, mounts_of(header), (config.left, config.right), strict=True):
         away = float(np.linalg.norm(np.subtract(there.position_m, here.position_m)))
-        turned = abs(float(np.angle(np.exp(1j * (there.yaw_rad - here.yaw_rad)))))
+        turned = float(np.linalg.norm(quat_to_rotvec(quat_multiply(quat_conjugate(there.quat), here.quat))))
         if not (away <= BASE_M and turned <= BASE_RAD):
             raise RecordingError(
-                f"{arm}: the base was at {tuple(there.position_m)} m, turned by {there.yaw_rad:g} rad, and is at "
-                f"{tuple(here.position_m)} m, turned by {here.yaw_rad:g} rad: {BASE_M} m and {BASE_RAD} rad apart are "
-                "the most. Replay it on a cell like the recorded one, or record it anew"
+                f"{arm}: the base was at {tuple(there.position_m)} m, turned by {there.yaw_rad:g} rad and tilted by "
+                f"{math.hypot(*there.tilt_rad):g} rad, and is at {tuple(here.position_m)} m, turned by "
+                f"{here.yaw_rad:g} rad and tilted by {math.hypot(*here.tilt_rad):g} rad: {BASE_M} m and {BASE_RAD} rad "
+                "apart are the most. Replay it on a cell like the recorded one, or record it anew"
             )
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from dual_ur10.errors import RecordingError
 from dual_ur10.kinematics import BASE_TO_BASE_LINK, flange_pose
 from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_to_matrix
+from dual_ur10.kinematics.rotations import quat_to_matrix
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.analysis.series import rising
 from dual_ur10.sim2real.analysis.tick_map import TickMap, sent_around, tick_map
@@ -65,7 +65,7 @@ class Track:
 def flange_of(mount: ArmMount, q_rad: Array) -> tuple[Array, Array]:
     """Return positions, (k, 3), and rotations, (k, 3, 3), of a flange in the cell frame."""
     position, rotation = flange_pose(q_rad, mount.dh)
-    from_base = quat_to_matrix(quat_from_rotvec(np.array([0.0, 0.0, mount.yaw_rad]))) @ BASE_TO_BASE_LINK
+    from_base = quat_to_matrix(mount.quat) @ BASE_TO_BASE_LINK
     return np.array(mount.position_m) + position @ from_base.T, from_base @ rotation
 
 

@@ -16,7 +16,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from dual_ur10.errors import CalibrationError
-from dual_ur10.kinematics.frames import ArmMount
+from dual_ur10.kinematics.frames import BASE_TO_BASE_LINK, ArmMount, yaw_and_tilt
+from dual_ur10.kinematics.rotations import quat_from_matrix
 from dual_ur10.kinematics.ur10 import DHParameters
 from dual_ur10.sim2real.calibration.directions import LEVER_M, SCALES, Direction, weakest
 from dual_ur10.sim2real.calibration.equations import Equations
@@ -149,22 +150,10 @@ class BaseEstimate:
         level = rotation_of((0.0, 0.0, self.yaw_rad))
         return rotvec_of(self.pose[:3, :3] @ level.T)[:2]
 
-    @cached_property
-    def is_tilted(self) -> bool:
-        """True if a right base that is level with the left one lies outside the 95 % region of the tilt."""
-        from scipy import stats
-
-        tilt, covariance = self.tilt_rad, self.covariance[3:5, 3:5]
-        limit = 2 * stats.f.ppf(LEVEL, 2, self.degrees_of_freedom)
-        return bool(tilt @ np.linalg.solve(covariance, tilt) > limit)
-
     @property
     def mount_uncertainty(self) -> tuple[float, float]:
-        """Uncertainty of the right mount relative to the left one, m and rad.
-
-        A mount has no tilt. Its uncertainty in rad therefore contains the estimated one.
-        """
-        return self.position_bound_m, self.rotation_bound_rad + float(np.linalg.norm(self.tilt_rad))
+        """Uncertainty of the right mount relative to the left one, m and rad."""
+        return self.position_bound_m, self.rotation_bound_rad
 
     @property
     def uncertainty_at_lever_m(self) -> float:
@@ -178,9 +167,9 @@ class BaseEstimate:
         Raises:
             SettingsError: It is beyond what a mount allows.
         """
-        place = (base_in_cell(left) @ self.pose)[:3, 3]
-        yaw = math.remainder(left.yaw_rad + self.yaw_rad, 2 * math.pi)
-        return ArmMount(tuple(map(float, place)), yaw, dh, dh.robot)  # type: ignore[arg-type]  # three of them
+        found = base_in_cell(left) @ self.pose
+        yaw, tilt = yaw_and_tilt(quat_from_matrix(found[:3, :3] @ BASE_TO_BASE_LINK))
+        return ArmMount(tuple(map(float, found[:3, 3])), yaw, dh, dh.robot, tilt_rad=tilt)  # type: ignore[arg-type]  # three
 
 
 class _Fit(NamedTuple):

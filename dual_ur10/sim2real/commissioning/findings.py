@@ -190,7 +190,7 @@ def swap_finding(expected: tuple[ExpectedArm, ExpectedArm], seen: tuple[SeenArm,
         expected: Expected properties of the left and the right arm. What both have in common tells nothing.
         seen: What their controllers reported.
     """
-    traits = {
+    traits: dict[str, tuple[Sequence[Any], Sequence[Any]]] = {
         "serial number": ([each.serial_number for each in expected], [each.serial_number for each in seen]),
         "calibration checksums": ([each.checksums for each in expected], [each.checksums for each in seen]),
         "calibration": ([each.dh for each in expected], [each.dh for each in seen]),

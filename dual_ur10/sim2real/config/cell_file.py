@@ -276,6 +276,11 @@ class CellFile(Table):
                 (arm.calibration.checksum is None, "calibration.checksum is missing: others would not be noticed"),
                 (arm.serial_number is None, "serial_number is missing: swapped arms may not be noticed"),
                 (arm.safety_checksum is None, "safety_checksum is missing: other settings would not be noticed"),
+                (
+                    any(arm.mount.tilt_rad),
+                    "base_tilt_rad is not 0: set the same mounting in the installation on the pendant, by which the "
+                    "controller compensates gravity. It cannot be read from here",
+                ),
                 (exact, "base_uncertainty_m or _rad is 0: no base stands exactly at its nominal pose"),
                 (tool, "tcp_position_m is not at the flange and gripper is none: the safety gate knows no tool there"),
             ):

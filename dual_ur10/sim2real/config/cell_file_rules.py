@@ -7,12 +7,16 @@ import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
 from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.errors import SettingsError
+from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.robots import robot_model
+from dual_ur10.kinematics.rotations import quat_conjugate, quat_multiply, quat_to_rotvec, rotate
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import LEAST_DAMPING
-from dual_ur10.sim2real.config.cell_file_tables import ZERO, ArmEntry, EmulatedTrackerEntry, Kind, PlaneEntry
+from dual_ur10.sim2real.config.cell_file_tables import LEVEL, ZERO, ArmEntry, EmulatedTrackerEntry, Kind, PlaneEntry
 
 if TYPE_CHECKING:
     from dual_ur10.sim2real.config.cell_file import CellFile
@@ -82,12 +86,15 @@ def _calibrated(cell: CellFile) -> Iterator[str]:
     found = cell.base_to_base
     if found is None:
         return
-    left, right = (each.base_position_m or ZERO for each in cell.arms)
-    yaw = cell.left.base_yaw_rad
-    x, y, z = (b - a for a, b in zip(left, right, strict=True))
-    there = (math.cos(yaw) * x + math.sin(yaw) * y, math.cos(yaw) * y - math.sin(yaw) * x, z)
-    off_m = math.dist(there, found.position_m)
-    off_rad = abs(math.remainder(cell.right.base_yaw_rad - yaw - found.yaw_rad, 2 * math.pi))
+    try:
+        left, right = cell.left.mount, cell.right.mount
+        wanted = ArmMount(ZERO, found.yaw_rad, tilt_rad=found.tilt_rad or LEVEL)
+    except SettingsError:
+        return  # reported already
+    back = quat_conjugate(left.quat)
+    off_m = math.dist(rotate(back, np.subtract(right.position_m, left.position_m)), found.position_m)
+    relative = quat_multiply(back, right.quat)
+    off_rad = float(np.linalg.norm(quat_to_rotvec(quat_multiply(quat_conjugate(wanted.quat), relative))))
     if off_m > _CALIBRATED or off_rad > _CALIBRATED:
         yield (
             f"base_to_base: the bases stand {1e3 * off_m:.3g} mm and {off_rad:.3g} rad otherwise than calibrated on "

@@ -20,7 +20,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from dual_ur10.assets import obstacles
 from dual_ur10.ids import ENTRY_POINTS, ENV_IDS
 from dual_ur10.kinematics import ur10
-from dual_ur10.kinematics.frames import MAX_MOUNT_M, ArmMount
+from dual_ur10.kinematics.frames import MAX_MOUNT_M, MAX_TILT_RAD, ArmMount
 from dual_ur10.kinematics.robots import MODEL_OF_FAMILY, MOST_PAYLOAD_KG, ROBOTS
 from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters, Family, nominal_dh
 from dual_ur10.sim2real.control.servoj import GAIN_RANGE, LOOKAHEAD_RANGE_S, MEASURED_LOOKAHEAD_S, ServojProfile
@@ -28,6 +28,7 @@ from dual_ur10.sim2real.control.servoj import GAIN_RANGE, LOOKAHEAD_RANGE_S, MEA
 Kind = Literal["real", "emulated"]
 
 ZERO: Final = (0.0, 0.0, 0.0)
+LEVEL: Final = (0.0, 0.0)
 MAX_OBSTACLES: Final = 64
 MAX_LATENCY_S: Final = 0.3
 ROBOTIQ_PORT: Final = 63352
@@ -39,9 +40,11 @@ _LIMIT: Final = "the hard limit"
 
 T = TypeVar("T")
 Vector = tuple[T, T, T]
+Pair = tuple[T, T]
 Joints = tuple[T, T, T, T, T, T]
 
 Angle = Annotated[float, Field(ge=-_TURN, le=_TURN)]
+Tilt = Annotated[float, Field(ge=-MAX_TILT_RAD, le=MAX_TILT_RAD)]
 Offset = Annotated[float, Field(ge=-1, le=1)]
 """Coordinate in a flange frame, m."""
 Place = Annotated[float, Field(ge=-MAX_MOUNT_M, le=MAX_MOUNT_M)]
@@ -251,6 +254,12 @@ class ArmEntry(Table):
         "position of the base in the cell frame", None, if_real=True, example=(-0.75, 0.6, 0.0)
     )
     base_yaw_rad: Angle = key("rotation of the base about the vertical; 0 faces +x", 0.0, if_real=True)
+    base_tilt_rad: Pair[Tilt] | None = key(
+        "tilt of the base after that: x and y of a rotation vector in the cell frame; a missing one is 0",
+        None,
+        note="set the same mounting on the pendant",
+        example=(0.004, 0.0),
+    )
     base_uncertainty_m: float = key("uncertainty of that position", 0.0, low=0, high=0.1)
     base_uncertainty_rad: float = key("uncertainty of that rotation, about any axis", 0.0, low=0, high=0.2)
     tcp_position_m: Vector[Offset] | None = key(
@@ -298,7 +307,7 @@ class ArmEntry(Table):
             SettingsError: The calibration is not that of this model, or the base is under the floor.
         """
         dh = self.kinematics_of(self.calibration)
-        return ArmMount(self.base_position_m or ZERO, self.base_yaw_rad, dh, self.robot)
+        return ArmMount(self.base_position_m or ZERO, self.base_yaw_rad, dh, self.robot, self.base_tilt_rad or LEVEL)
 
     def kinematics_of(self, calibration: Calibration) -> DHParameters:
         """Return the kinematics of this arm with a calibration.
@@ -324,6 +333,7 @@ class BaseToBase(Table):
         "position of the right base in the left one's frame", example=(0.0, -1.2, 0.0)
     )
     yaw_rad: Angle = key("rotation of the right base about the vertical, relative to the left one", example=0.0)
+    tilt_rad: Pair[Tilt] | None = key("tilt of the right base after that, likewise", None, example=(0.004, 0.0))
     uncertainty_m: float = key("uncertainty of that position", low=0, high=0.1, example=0.0002)
     uncertainty_rad: float = key("uncertainty of that rotation, about any axis", low=0, high=0.2, example=0.0003)
     date: Day = key("day of the calibration", example="2026-01-31")

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from dual_ur10.errors import UnknownNameError
 from dual_ur10.kernel import RowLoop, Struct
-from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_to_matrix
+from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply, quat_to_matrix
 from dual_ur10.kinematics.ur10 import DHParameters
 from dual_ur10.sim2real.control import path
 from dual_ur10.sim2real.control.cartesian_step import goal_of_step
@@ -97,6 +97,7 @@ class ServojAdapter:
         dh: The arms' kinematics, for "tcp_delta".
         tcp_m: Distance of the tool centre points before the flanges, for "tcp_delta".
         yaw_rad: Rotation of each base about the vertical, for "tcp_delta".
+        tilt_rad: Tilt of each base after that, as in `ArmMount`, for "tcp_delta".
         speed_factor: Rate of task time in real time. At 0.25 a second of the task takes four, in which the controllers'
             law does four times as much.
         lookahead_s: Measured lookahead of the law that the arms follow; None: that of `profile`.
@@ -116,6 +117,7 @@ class ServojAdapter:
         dh: Sequence[DHParameters],
         tcp_m: float = 0.0,
         yaw_rad: Sequence[float] = (0.0, 0.0),
+        tilt_rad: Sequence[tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0)),
         speed_factor: float = 1.0,
         lookahead_s: float | None = None,
         threads: int = 1,
@@ -139,7 +141,8 @@ class ServojAdapter:
         self._steps_to_rest = 2.0 / (self.envelope.brake_rate * self.period_s)  # along a critically damped decay
         # Rotates vectors of the cell frame into each arm's `base`, which is rotated by π from base_link.
         rotations = np.array([[0.0, 0.0, -np.pi - yaw] for yaw in yaw_rad])
-        self._to_base = quat_to_matrix(quat_from_rotvec(rotations))
+        upright = quat_from_rotvec(np.array([[-x, -y, 0.0] for x, y in tilt_rad]))
+        self._to_base = quat_to_matrix(quat_multiply(quat_from_rotvec(rotations), upright))
         self._state: Array = np.zeros((n, _STATE, 12))
         self._rest = np.zeros(n, dtype=np.int64)  # periods until the last path's meeting; 0: there is none
         self._commanded: Array = np.zeros((n, 2, 6))

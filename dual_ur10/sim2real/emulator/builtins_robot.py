@@ -168,7 +168,7 @@ def robot_builtins(controller: Controller) -> Builtins:
         return list(payload.inertia_kg_m2)
 
     def set_gravity(d: Any) -> None:
-        _numbers(d, 3, "gravity")  # without effect: the arms stand upright in every cell
+        _numbers(d, 3, "gravity")  # without effect: the arms stand upright in every emulated cell
 
     def enable_external_ft_sensor(
         enable: bool, sensor_mass: float = 0.0, sensor_measuring_offset: Any = (0.0,) * 3, sensor_cog: Any = (0.0,) * 3

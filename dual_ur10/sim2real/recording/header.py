@@ -97,13 +97,22 @@ def _mount(values: Mount) -> ArmMount:
     robot = values.get("robot", "ur10")
     dh: dict[str, Any] = {name: tuple(each) for name, each in values.get("dh", {}).items()}
     kinematics = DHParameters(**dh, robot=robot) if dh else nominal_dh(robot)
-    return ArmMount((x, y, z), values.get("yaw_rad", 0.0), kinematics, robot)
+    tilt_x, tilt_y = values.get("tilt_rad", (0.0, 0.0))
+    return ArmMount((x, y, z), values.get("yaw_rad", 0.0), kinematics, robot, (tilt_x, tilt_y))
 
 
 def _plain_mount(mount: ArmMount) -> Mount:
     dh = mount.dh
     rows = {"a_m": dh.a_m, "d_m": dh.d_m, "alpha_rad": dh.alpha_rad, "theta_rad": dh.theta_rad}
-    found: Mount = plain({"position_m": mount.position_m, "yaw_rad": mount.yaw_rad, "robot": mount.robot, "dh": rows})
+    found: Mount = plain(
+        {
+            "position_m": mount.position_m,
+            "yaw_rad": mount.yaw_rad,
+            "tilt_rad": mount.tilt_rad,
+            "robot": mount.robot,
+            "dh": rows,
+        }
+    )
     return found
 
 

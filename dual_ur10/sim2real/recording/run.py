@@ -50,6 +50,7 @@ class Mount(TypedDict, total=False):
 
     position_m: _Vector
     yaw_rad: float
+    tilt_rad: _Vector
     robot: Annotated[str, Field(max_length=40)]
     dh: dict[Literal["a_m", "d_m", "alpha_rad", "theta_rad"], _Vector]
 
@@ -80,7 +81,7 @@ class Header:
         period_ticks: Control periods per step.
         latency_ticks: Control periods between an action's step and its first target.
         speed_factor: Fraction of the full speed, at most 1.
-        mounts: Per arm `position_m`, `yaw_rad` and `dh` (`a_m`, `d_m`, `alpha_rad`, `theta_rad`).
+        mounts: Per arm `position_m`, `yaw_rad`, `tilt_rad` and `dh` (`a_m`, `d_m`, `alpha_rad`, `theta_rad`).
         servoj: Per arm `lookahead_s` and `gain`.
         versions: Versions of this package and of its dependencies, by name.
         started_utc: Start of the run, ISO 8601.

@@ -203,6 +203,15 @@ def headed(run: Run, **values: Any) -> Run:
             {"mounts": [{"position_m": [-0.75, y, 0.0], "yaw_rad": 0.2, "dh": DH} for y in (0.6, -0.6)]},
             "turned by 0.2 rad",
         ),
+        (
+            {
+                "mounts": [
+                    {"position_m": [-0.75, y, 0.0], "yaw_rad": 0.0, "tilt_rad": [0.08, 0.08], "dh": DH}
+                    for y in (0.6, -0.6)
+                ]
+            },
+            "tilted by 0.113137 rad",
+        ),
         ({"mounts": [{"position_m": [0, 0, 0], "yaw_rad": 0.0, "dh": {**DH, "d_m": [0.0] * 6}}] * 2}, "another robot"),
     ],
 )

@@ -195,10 +195,12 @@ def test_the_mount_stands_where_the_estimate_does(yaw, x, turn):
     mount = found.mount(left, NOMINAL_DH)
     np.testing.assert_allclose(mount.position_m, right.position_m, atol=1e-12)
     assert math.remainder(mount.yaw_rad - turn, 2 * math.pi) == pytest.approx(0.0, abs=1e-12)
-    assert not found.is_tilted
-    tilted = dataclasses.replace(found, pose=pose @ transform(np.zeros(3), rotation_of((0.003, 0.004, 0.0))))
-    assert tilted.is_tilted
-    assert tilted.mount_uncertainty[1] == pytest.approx(found.mount_uncertainty[1] + 0.005, abs=1e-5)
+    np.testing.assert_allclose(mount.tilt_rad, 0.0, atol=1e-12)
+    left = dataclasses.replace(left, tilt_rad=(0.01, -0.02))
+    right = dataclasses.replace(right, tilt_rad=(-0.03, 0.05))
+    found = dataclasses.replace(found, pose=right_in_left(left, right))
+    np.testing.assert_allclose(right_in_left(left, found.mount(left)), found.pose, atol=1e-12)
+    np.testing.assert_allclose(found.mount(left).tilt_rad, right.tilt_rad, atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -115,6 +115,7 @@ def test_every_key_is_read() -> None:
         task="DualUR10/SyncCarry-v0",
         rt_priority=80,
         left__serial_number="2010300001",
+        left__base_tilt_rad=[0.004, -0.002],
         left__safety_checksum=0x57F4285B,
         left__gripper={"kind": "robotiq", "port": 1234},
         right__gripper={"kind": "digital_output", "output": 16, "open_level": True},
@@ -141,6 +142,8 @@ def test_every_key_is_read() -> None:
     assert left.profile == ServojProfile("cb3", 0.05, 500.0)
     assert left.mount.position_m == (-0.75, 0.6, 0.0)
     assert left.mount.yaw_rad == 0.5
+    assert left.mount.tilt_rad == (0.004, -0.002)
+    assert cell.right.mount.tilt_rad == (0.0, 0.0)
     assert left.mount.dh.theta_rad[0] == 1e-4
     assert left.mount.dh.a_m == tuple(ur10.DH_A_M)
     assert left.calibration.checksum == (1, 2, 3, 4, 5, 4294967295)
@@ -387,6 +390,8 @@ REFUSED: list[tuple[dict[str, Any], tuple[str, ...]]] = [
     ({"rt_priority": 10**400}, ("rt_priority is a very large number",)),
     ({"speed_factor": 10**400}, ("speed_factor is a very large number",)),
     ({"left__base_yaw_rad": 90}, ("left.base_yaw_rad is 90", "-6.28319 to 6.28319")),
+    ({"left__base_tilt_rad": [2.0, 0.0]}, ("left.base_tilt_rad[0] is 2.0", "-0.0872665 to 0.0872665")),
+    ({"left__base_tilt_rad": [0.01, 0.0, 0.0]}, ("left.base_tilt_rad", "2 numbers")),
     ({"left__base_position_m": [-750, 600, 0]}, ("left.base_position_m[0] is -750", "-3 to 3")),
     ({"left__base_uncertainty_m": -0.001}, ("left.base_uncertainty_m is -0.001",)),
     ({"left__payload_kg": 10.5}, ("left.payload_kg is 10.5", "0 to 10", "UR10")),
@@ -758,6 +763,8 @@ def test_notes_name_what_a_real_cell_leaves_out() -> None:
     assert note.startswith("left.tcp_position_m is not at the flange and gripper is none: ")
     sure |= {f"{arm}__gripper": {"kind": "robotiq"} for arm in ur10.ARMS}
     assert cell_of(GOOD, **sure).notes() == []
+    (note,) = cell_of(GOOD, **sure, right__base_tilt_rad=[0.01, 0.0]).notes()
+    assert "right.base_tilt_rad is not 0: set the same mounting" in note
     assert cell_of(SMALL).notes() == []
 
 

@@ -33,6 +33,7 @@ from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Task, Timing, 
 from dual_ur10.envs.tasks.tool_goals import GOAL_FIELDS
 from dual_ur10.kernel import RowLoop, Struct
 from dual_ur10.kinematics.frames import ArmMount, Frames
+from dual_ur10.kinematics.rotations import rotate
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.control.limits import MotionLimits, reach_from_joint_m
 from dual_ur10.types import Array, Rows
@@ -263,7 +264,9 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
             success_error_m=settings.success_error_m,
             far_m=np.array([reach_from_joint_m(mount.robot)[1] + _BEYOND_M for mount in mounts]),
             fallen_m=_FALLEN_M,
-            shoulders_m=np.array([np.add(mount.position_m, (0.0, 0.0, mount.model.d_m[0])) for mount in mounts]),
+            shoulders_m=np.array(
+                [mount.position_m + rotate(mount.quat, np.array([0.0, 0.0, mount.model.d_m[0]])) for mount in mounts]
+            ),
             goals=goals(mounts),
             giver=self._giver,
             input=self._input,

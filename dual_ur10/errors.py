@@ -145,18 +145,23 @@ class ScriptError(DualUR10Error, ValueError):
         line: Line of the program text, from 1.
         word: Word at which the controller stopped.
         reason: Description of the error.
+        column: Column at which the word begins, from 1.
     """
 
-    def __init__(self, line: int, word: str, reason: str) -> None:
+    def __init__(self, line: int, word: str, reason: str, column: int = 1) -> None:
         super().__init__(f"line {line}, {word!r}: {reason}")
-        self.line, self.word, self.reason = line, word, reason
+        self.line, self.word, self.reason, self.column = line, word, reason, column
 
-    def __reduce__(self) -> tuple[type, tuple[int, str, str]]:
-        return type(self), (self.line, self.word, self.reason)
+    def __reduce__(self) -> tuple[type, tuple[int, str, str, int]]:
+        return type(self), (self.line, self.word, self.reason, self.column)
 
 
 class ScriptSyntaxError(ScriptError):
     """Raised when a URScript program violates the grammar, or uses a name that does not exist."""
+
+
+class ScriptNameError(ScriptSyntaxError):
+    """Raised when a URScript program uses a name that is neither defined in it nor known to any controller."""
 
 
 class ScriptRuntimeError(ScriptError):

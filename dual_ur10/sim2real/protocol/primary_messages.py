@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final
 
-from dual_ur10.errors import ScriptError, SettingsError
+from dual_ur10.errors import ScriptError, ScriptNameError, SettingsError
 from dual_ur10.kinematics.ur10 import Family
 
 ROBOT_MESSAGE: Final = 20
@@ -22,6 +22,10 @@ ROBOT_MESSAGE: Final = 20
 SOURCE_CONTROLLER: Final = -2
 SOURCE_PROGRAM: Final = -3
 """Sources of messages: the controller, and the program it runs. Values: packets recorded from URSim."""
+
+PROGRAM_STARTED: Final = "PROGRAM_XXX_STARTED"
+PROGRAM_STOPPED: Final = "PROGRAM_XXX_STOPPED"
+"""Titles of the key messages at start and end of a program. Source: the parser tests of UR's client library."""
 
 _TEXT, _POPUP, _VERSION, _SAFETY_MODE, _ERROR_CODE, _KEY, _RUNTIME_EXCEPTION = 0, 2, 3, 5, 6, 7, 10
 
@@ -69,7 +73,7 @@ def text_message(timestamp_s: float, text: str) -> bytes:
 
 
 def key_message(timestamp_s: float, title: str, text: str, *, code: int = 0, argument: int = 0) -> bytes:
-    """Return an event with a title, such as "PROGRAM_XXX_STARTED" with the program's name."""
+    """Return an event with a title, such as `PROGRAM_STARTED` with the program's name."""
     body = struct.pack(">iiB", code, argument, len(_short(title))) + _short(title) + _bytes(text)
     return _message(timestamp_s, SOURCE_CONTROLLER, _KEY, body)
 
@@ -87,8 +91,11 @@ def runtime_exception_message(timestamp_s: float, line: int, column: int, text: 
 
 
 def script_error_message(timestamp_s: float, error: ScriptError) -> bytes:
-    """Return the same for an error of the script interpreter, which reports no column."""
-    return runtime_exception_message(timestamp_s, error.line, 1, f"{error.reason}: {error.word}")
+    """Return the same for an error of the script interpreter: an unknown name in UR's words, others in its own."""
+    text = f"{error.reason}: {error.word}"
+    if isinstance(error, ScriptNameError):
+        text = f"compile_error_name_not_found:{error.word}:"  # a message of URSim in the tests of UR's client library
+    return runtime_exception_message(timestamp_s, error.line, error.column, text)
 
 
 def error_code_message(

@@ -554,6 +554,7 @@ def test_errors_stop_the_program_and_name_line_and_word(text: str, line: int, wo
     with pytest.raises(ScriptRuntimeError, match=reason) as caught:
         tick(machine, 300)
     assert (caught.value.line, caught.value.word) == (line, word)
+    assert text.splitlines()[line - 1].startswith(word, caught.value.column - 1)
     assert machine.finished
     machine.tick()
 

@@ -60,13 +60,14 @@ BUILTINS = {**library(0.008), "move": lambda q, a=1.4, v=1.05: None}
         ("x = 'a'", 1, "'", "no URScript starts with this"),
         ('x = "a', 1, '"', "no URScript starts with this"),
         ("x = 2y", 1, "2", "no URScript starts with this"),
-        ("def f():\n def g(a):\n  global a = 1\n end\nend", 2, "a", "both global and local"),
+        ("def f():\n def g(a):\n  global a = 1\n end\nend", 3, "a", "both global and local"),
     ],
 )
 def test_refusals_name_line_and_word(text: str, line: int, word: str, reason: str) -> None:
     with pytest.raises(ScriptSyntaxError, match=reason) as caught:
         parse(text, BUILTINS)
     assert (caught.value.line, caught.value.word) == (line, word)
+    assert text.splitlines()[line - 1].startswith(word, caught.value.column - 1)
 
 
 @pytest.mark.parametrize(

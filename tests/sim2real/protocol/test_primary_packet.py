@@ -1,9 +1,10 @@
 import dataclasses
+import pickle
 import struct
 
 import pytest
 
-from dual_ur10.errors import ScriptRuntimeError, SettingsError
+from dual_ur10.errors import ScriptNameError, ScriptRuntimeError, SettingsError
 from dual_ur10.kinematics.ur10 import DH_A_M, NOMINAL_DH
 from dual_ur10.sim2real.emulator.profile import PROFILES
 from dual_ur10.sim2real.protocol import primary_messages as messages
@@ -229,9 +230,13 @@ def test_text_and_key_messages():
 def test_runtime_exception():
     packet = messages.runtime_exception_message(2.0, 3, 1, "compile_error_name_not_found:txtmsg:")
     assert opened(packet) == (2_000_000, -3, 10, b"\0\0\0\3\0\0\0\1compile_error_name_not_found:txtmsg:")
-    _, _, kind, body = opened(messages.script_error_message(2.0, ScriptRuntimeError(7, "movej", "six joints needed")))
-    assert kind == 10
-    assert body == b"\0\0\0\7\0\0\0\1six joints needed: movej"
+    for error, text in (
+        (ScriptRuntimeError(7, "movej", "six joints needed", 3), b"six joints needed: movej"),
+        (ScriptNameError(7, "txtmsg", "there is no such function", 3), b"compile_error_name_not_found:txtmsg:"),
+    ):
+        _, _, kind, body = opened(messages.script_error_message(2.0, error))
+        assert (kind, body) == (10, b"\0\0\0\7\0\0\0\3" + text)
+        assert pickle.loads(pickle.dumps(error)).column == 3
 
 
 def test_error_codes_and_safety_modes():

@@ -53,9 +53,10 @@ class Calls:
         """Check the call of a builtin and return whether it blocks."""
         name = str(call.at)
         if name not in self._builtins:
-            unknown = "this function of UR's manual is not emulated" if name in NAMES else "there is no such function"
             absent = self._builtins.absent if isinstance(self._builtins, VersionBuiltins) else {}
-            raise syntax.error(call.at, absent.get(name, unknown))
+            if name in absent or name in NAMES:
+                raise syntax.error(call.at, absent.get(name, "this function of UR's manual is not emulated"))
+            raise syntax.unknown(call.at, "there is no such function")
         if call.runs:
             raise syntax.error(call.at, "only a thread can be run")
         if name not in self.used:

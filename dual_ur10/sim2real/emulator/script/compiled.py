@@ -13,7 +13,7 @@ from typing import Final
 
 from lark import Token
 
-from dual_ur10.errors import ScriptError, ScriptSyntaxError, SettingsError
+from dual_ur10.errors import ScriptError, SettingsError
 from dual_ur10.sim2real.emulator.script import syntax
 from dual_ur10.sim2real.emulator.script.calls import Calls
 from dual_ur10.sim2real.emulator.script.compiler import generate
@@ -108,7 +108,7 @@ def _read(text: str, builtins: Builtins) -> Program:
         calls = Calls(names, builtins)
         code = generate(main, names, calls, builtins)
     except (RecursionError, MemoryError):
-        raise ScriptSyntaxError(main.at.line or 1, name, "the program is too large, or nested too deeply") from None
+        raise syntax.error(main.at, "the program is too large, or nested too deeply") from None
     used = {each: _interface(builtins, each) for each in calls.used}
     return Program(name, main.kind == "sec", tuple(text.split("\n")), code, used)
 

@@ -125,7 +125,7 @@ class _FunctionCompiler:
         # digital_out[n] = value: the syntax of old programs.
         builtin = f"set_{node.at}"
         if node.at != "digital_out" or builtin not in self._builtins or len(node.items) != 1:
-            raise syntax.error(node.at, "nothing assigns this variable")
+            raise syntax.unknown(node.at, "nothing assigns this variable")
         self._calls.used.setdefault(builtin, False)
         where = _where(node.at)
         return ast.Call(ast.Name("b_" + builtin, _LOAD, **where), [self._expression(node.items[0]), value], [], **where)
@@ -202,7 +202,7 @@ class _FunctionCompiler:
     def _variable(self, word: Token) -> ast.expr:
         place = self._place(str(word))
         if place is None:
-            raise syntax.error(word, "nothing assigns this variable")
+            raise syntax.unknown(word, "nothing assigns this variable")
         return ast.Name(_mangled(str(word), place), _LOAD, **_where(word))
 
     def _place(self, name: str) -> str | None:

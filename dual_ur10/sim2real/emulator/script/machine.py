@@ -240,7 +240,7 @@ class Machine:
             reason = "it has no value yet: nothing was assigned, or defined, so far"
         elif isinstance(error, ZeroDivisionError):
             reason = "division by zero"
-        return ScriptRuntimeError(line or 1, word, reason or type(error).__name__)
+        return ScriptRuntimeError(line or 1, word, reason or type(error).__name__, (start or 0) + 1)
 
 
 def _halt() -> NoReturn:

@@ -211,14 +211,15 @@ def parse_text(text: str) -> list[syntax.Statement]:
     try:
         return cast("list[syntax.Statement]", _LARK.parse(text))
     except UnexpectedCharacters as error:
-        raise ScriptSyntaxError(error.line, text[error.pos_in_stream or 0], "no URScript starts with this") from None
+        word = text[error.pos_in_stream or 0]
+        raise ScriptSyntaxError(error.line, word, "no URScript starts with this", error.column) from None
     except UnexpectedToken as error:
         expected = ", ".join(sorted(error.expected - {"$END"}, key=str.lower)).lower()
         if error.token.type == "$END":
-            line = text.rstrip().count("\n") + 1
-            raise ScriptSyntaxError(line, "", f"the program is incomplete: expected {expected}") from None
-        raise ScriptSyntaxError(
-            error.line, str(error.token), f"this cannot stand here: expected {expected or 'the end of the text'}"
-        ) from None
+            *before, last = text.rstrip().split("\n")
+            reason = f"the program is incomplete: expected {expected}"
+            raise ScriptSyntaxError(len(before) + 1, "", reason, len(last) + 1) from None
+        reason = f"this cannot stand here: expected {expected or 'the end of the text'}"
+        raise ScriptSyntaxError(error.line, str(error.token), reason, error.column) from None
     except UnexpectedInput as error:
         raise ScriptSyntaxError(1, "", str(error)) from None

@@ -12,7 +12,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Final
 
-from dual_ur10.errors import ScriptSyntaxError
+from lark import Token
+
 from dual_ur10.sim2real.emulator.script import syntax
 
 DEPTH_MAX: Final = 60
@@ -39,7 +40,7 @@ class Function:
         parameters: Names of its parameters.
         local: Names declared `local` in it.
         free: Names that it assigns without a declaration.
-        declared: Names that it declares `global`.
+        declared: Names that it declares `global`, with the words that do.
         functions: Functions defined in it, by name.
         calls: Calls and thread starts in it.
         blocks: Whether a call of it may take a control period or more.
@@ -51,7 +52,7 @@ class Function:
     parameters: set[str] = field(default_factory=set)
     local: set[str] = field(default_factory=set)
     free: set[str] = field(default_factory=set)
-    declared: set[str] = field(default_factory=set)
+    declared: dict[str, Token] = field(default_factory=dict)
     functions: dict[str, Function] = field(default_factory=dict)
     calls: list[syntax.Call] = field(default_factory=list)
     blocks: bool = False
@@ -87,9 +88,8 @@ class Names:
         self.shared: set[str] = set()
         self._define(program, None, 0)
         for function in self.functions.values():
-            for name in function.declared & (function.parameters | function.local):
-                word = function.define.at
-                raise ScriptSyntaxError(word.line or 1, name, f"in {word} it is both global and local")
+            for name in function.declared.keys() & (function.parameters | function.local):
+                raise syntax.error(function.declared[name], f"in {function.define.at} it is both global and local")
 
     def place(self, name: str, function: Function) -> str | None:
         """Return the scope of a variable: "global", "own", "outer", or None if nothing assigns it."""
@@ -159,7 +159,7 @@ class Names:
         name = str(node.at)
         if node.qualifier == "global":
             self.shared.add(name)
-            function.declared.add(name)
+            function.declared.setdefault(name, node.at)
         elif node.qualifier == "local":
             function.local.add(name)
         else:

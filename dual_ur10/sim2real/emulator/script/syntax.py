@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from lark import Token
 
-from dual_ur10.errors import ScriptSyntaxError
+from dual_ur10.errors import ScriptNameError, ScriptSyntaxError
 
 
 @dataclass(slots=True)
@@ -148,5 +148,10 @@ Statement = Assign | If | While | Simple | Return | Kill | Define | Call
 
 
 def error(word: Token, reason: str) -> ScriptSyntaxError:
-    """Return the error that a word of a program causes, with its line."""
-    return ScriptSyntaxError(word.line or 1, str(word), reason)
+    """Return the error that a word of a program causes, with its place."""
+    return ScriptSyntaxError(word.line or 1, str(word), reason, word.column or 1)
+
+
+def unknown(word: Token, reason: str) -> ScriptNameError:
+    """Return the same for a name that does not exist."""
+    return ScriptNameError(word.line or 1, str(word), reason, word.column or 1)

@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from dual_ur10.errors import MotionError
 from tests.sim2real.emulator.motion_runs import Q0, at_rest, motion, pose, run, until_done
 
 
 @pytest.mark.parametrize(
     ("call", "code"),
     [
-        (lambda arm: arm.move_joints([7.0, 0, 0, 0, 0, 0], 1.0, 1.0), "C150A0"),
-        (lambda arm: arm.move_joints([0, 0, 3.2, 0, 0, 0], 1.0, 1.0), "C150A0"),
         (lambda arm: arm.servo_joints([0.3, -1.2, 3.2, -1.0, -1.4, 0.2], 0.008, 0.1, 300), "C150A0"),
         (lambda arm: arm.move_linear([2.0, 0, 0, 0, 0, 0], 1.0, 1.0), "C154A0"),
         (lambda arm: arm.move_linear([50.0, 0, 0, 0, 0, 0], 1.0, 1.0), "C154A0"),
@@ -28,6 +27,18 @@ def test_targets_that_cannot_be_reached(call, code):
     assert handle.done
     assert handle.aborted
     assert np.array_equal(arm.q, Q0)
+
+
+@pytest.mark.parametrize("target", [[7.0, 0, 0, 0, 0, 0], [0, 0, 3.2, 0, 0, 0]])
+def test_joint_targets_beyond_the_limits(target):
+    arm = motion()
+    handle = arm.move_joints(Q0 + 0.1, 1.0, 1.0)
+    run(arm, 10)
+    with pytest.raises(MotionError, match="allowed are"):
+        arm.move_joints(target, 1.0, 1.0)
+    assert arm.fault is None
+    until_done(arm, handle)
+    assert np.allclose(arm.q, Q0 + 0.1)
 
 
 def test_a_line_through_an_unreachable_region():
@@ -47,7 +58,7 @@ def test_a_line_through_an_unreachable_region():
 
 def test_commands_are_refused_until_the_fault_is_cleared():
     arm = motion()
-    arm.move_joints([7.0, 0, 0, 0, 0, 0], 1.0, 1.0)
+    arm.move_linear([2.0, 0, 0, 0, 0, 0], 1.0, 1.0)
     for command in (
         lambda: arm.move_joints(Q0 + 0.1, 1.0, 1.0),
         lambda: arm.move_linear(pose(arm, 0.1), 1.0, 1.0),

@@ -59,10 +59,16 @@ class Motion(ToolMotion):
     # Moves.
 
     def move_joints(self, q: Iterable[Any], a: float, v: float, t: float = 0.0, r: float = 0.0) -> Handle:
-        """`movej`: move to joint positions (6,) on a line in joint space. Joint speed limits reduce `v`."""
+        """`movej`: move to joint positions (6,) on a line in joint space. Joint speed limits reduce `v`.
+
+        A target beyond the joint limits is an invalid argument: it ends the program, and the arm is not stopped
+        protectively. So do the tests of UR's client library expect it.
+        """
         target = np.array(six(q, "the target of movej"))
         a, v, t, r = _move_arguments("movej", a, v, t, r)
-        if not self._may_go_to(target):
+        if (beyond := _beyond_limits(target)) is not None:
+            raise MotionError(f"the target of movej is beyond the joint limits: {beyond}")
+        if self.fault is not None:
             return self._refuse()
         ending = self._ending(a)
         if self.fault is not None:
@@ -169,14 +175,8 @@ class Motion(ToolMotion):
         """Return True if a target is inside the joint limits; raise a fault if it is not."""
         if self.fault is not None:
             return False
-        beyond = [abs(each) > limit for each, limit in zip(target, _LIMITS_RAD, strict=True)]
-        if any(beyond):
-            joint = beyond.index(True)
-            self._fail(
-                JOINT_LIMIT,
-                f"position close to joint limits: joint {joint} would go to {target[joint]:.4f} rad, allowed are "
-                f"±{JOINT_RANGE_RAD[joint]:.4f}",
-            )
+        if (beyond := _beyond_limits(target)) is not None:
+            self._fail(JOINT_LIMIT, f"position close to joint limits: {beyond}")
         return self.fault is None
 
     # Streams.
@@ -326,6 +326,14 @@ class Motion(ToolMotion):
 
     def _ticks(self, t: float, what: str) -> int:
         return min(math.ceil(min(not_negative(t, what) / self.tick_s, _MAX_TICKS) - 1e-6), _MAX_TICKS)
+
+
+def _beyond_limits(target: Sequence[float] | Array) -> str | None:
+    """Return the joint that a target brings beyond its limits, with found and allowed values, or None."""
+    for joint, (each, limit) in enumerate(zip(target, _LIMITS_RAD, strict=True)):
+        if abs(each) > limit:
+            return f"joint {joint} would go to {each:.4f} rad, allowed are ±{JOINT_RANGE_RAD[joint]:.4f}"
+    return None
 
 
 def _move_arguments(name: str, a: float, v: float, t: float, r: float) -> tuple[float, float, float, float]:

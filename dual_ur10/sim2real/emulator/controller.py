@@ -167,7 +167,9 @@ class Controller:
         self._ran = False
         self._raw_wrench: Array = np.zeros(6)
         self._wrench_zero: Array = np.zeros(6)
-        self.program = ProgramRunner(profile, self.motion, builtins(self), self._script_failed, self.sockets.close_all)
+        self.program = ProgramRunner(
+            profile, self.motion, builtins(self), self._script_failed, self._announce, self.sockets.close_all
+        )
         self.reading = ArmReading(np.array(q_rad, dtype=float), np.zeros(6), np.zeros(6), np.zeros(6), None)
         self.previous = self.reading
         self._shown = _Shown(self.reading, self.reading.q_rad, self.motion, np.zeros(6), self.wrench)
@@ -294,6 +296,9 @@ class Controller:
         log.warning("%s: program stopped: %s", self.name, error)
         self.messages.append(messages.script_error_message(self.time_s, error))
 
+    def _announce(self, title: str, text: str) -> None:
+        self.messages.append(messages.key_message(self.time_s, title, text))
+
     def spend(self, steps: int) -> None:
         """Charge a costly function with so many statements of this control period.
 
@@ -317,7 +322,7 @@ class Controller:
         if watchdog.since_s > watchdog.period_s and self.watchdog_acts:
             log.warning("%s: the watchdog on %s was not fed for %.3g s", self.name, watchdog.name, watchdog.since_s)
             text = f"no client wrote {watchdog.name} for {watchdog.since_s:.3g} s: {watchdog.action}"
-            self.messages.append(messages.key_message(self.time_s, "RTDE_WATCHDOG", text))
+            self._announce("RTDE_WATCHDOG", text)
             self.watchdog = None
             if watchdog.action == "pause":
                 self.program.pause()
@@ -459,7 +464,7 @@ class Controller:
     def refuse(self, request: str, reason: str) -> None:
         """Report a request on a script port that is refused."""
         log.warning("%s: %s is refused: %s", self.name, request, reason)
-        self.messages.append(messages.key_message(self.time_s, "PROGRAM_REFUSED", reason))
+        self._announce("PROGRAM_REFUSED", reason)
 
     def play(self) -> None:
         """Start or resume the program.

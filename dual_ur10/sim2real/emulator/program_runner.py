@@ -11,6 +11,7 @@ from dual_ur10.sim2real.emulator.profile import ControllerProfile
 from dual_ur10.sim2real.emulator.safety import Demand
 from dual_ur10.sim2real.emulator.script import Builtins, Machine, Program, read
 from dual_ur10.sim2real.protocol.modes import RuntimeState
+from dual_ur10.sim2real.protocol.primary_messages import PROGRAM_STARTED, PROGRAM_STOPPED
 
 log = logging.getLogger(__name__)
 
@@ -30,6 +31,7 @@ class ProgramRunner:
         motion: The arm's reference motion, which ends with the program.
         builtins: Functions that programs may call, by name.
         failed: Callback for every program that was refused or stopped by an error.
+        announce: Callback for start and end of main programs: the title of the key message, and the program's name.
         ended: Callback for the end of programs.
 
     Attributes:
@@ -47,10 +49,11 @@ class ProgramRunner:
         motion: Motion,
         builtins: Builtins,
         failed: Callable[[ScriptError], None],
+        announce: Callable[[str, str], None],
         ended: Callable[[], None],
     ) -> None:
         self.profile, self.motion, self.builtins = profile, motion, builtins
-        self._failed, self._ended = failed, ended
+        self._failed, self._announce, self._ended = failed, announce, ended
         self.state = RuntimeState.STOPPED
         self.name = ""
         self.scaling = 1.0
@@ -92,6 +95,7 @@ class ProgramRunner:
         self.last, self.name, self.stopped_by = program, program.name, ""
         self.machine, self._unstarted = self._started(program), True
         self.state = RuntimeState.PLAYING
+        self._announce(PROGRAM_STARTED, program.name)
 
     def _start_secondary(self, program: Program) -> None:
         if self._demand is Demand.STOP:
@@ -147,6 +151,7 @@ class ProgramRunner:
         if self.machine is not None:
             log.info("program %s ends: %s", self.name, reason)
             self.machine.kill()
+            self._announce(PROGRAM_STOPPED, self.machine.program.name)
             self.machine, self.stopped_by = None, reason
             self._ended()
             self._brake()
@@ -195,8 +200,8 @@ class ProgramRunner:
         try:
             machine.tick()
         except ScriptError as error:
-            self.stop("an error")
             self._failed(error)
+            self.stop("an error")
             return
         if machine.finished and self.machine is machine:
             self.stop("it has finished")

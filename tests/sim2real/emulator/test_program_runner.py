@@ -1,10 +1,12 @@
 """Program of a controller: loading, playing, pausing and ending."""
 
+import struct
+
 import numpy as np
 import pytest
 
 from dual_ur10.errors import OperationRefusedError, ScriptSyntaxError
-from dual_ur10.sim2real.protocol.modes import RuntimeState
+from dual_ur10.sim2real.protocol.modes import RuntimeState, SafetyMode
 from tests.sim2real.emulator.ticking import COUNT, HOME, Bench, program
 
 IDLE = "while True:\n  sync()\nend"
@@ -27,6 +29,71 @@ def heard(bench):
     messages = b"".join(bench.controller.messages)
     bench.controller.messages.clear()
     return messages
+
+
+def events(bench):
+    """Return the new messages on 30001: titles and texts of key messages, places and texts of runtime exceptions."""
+    found = []
+    for message in bench.controller.messages:
+        kind, body = message[14], message[15:]
+        if kind == 7:
+            found.append((body[9 : 9 + body[8]].decode(), body[9 + body[8] :].decode()))
+        elif kind == 10:
+            found.append((*struct.unpack_from(">ii", body), body[8:].decode()))
+    bench.controller.messages.clear()
+    return found
+
+
+def test_start_and_end_of_programs_are_reported(bench):
+    """By the key messages that UR's client library waits for; of secondary programs there are none."""
+    started, stopped = "PROGRAM_XXX_STARTED", "PROGRAM_XXX_STOPPED"
+    bench.run(program('textmsg("here")\nsync()', "mine"))
+    bench.tick()
+    assert b"".join(bench.controller.messages).index(b"STARTED") < b"".join(bench.controller.messages).index(b"here")
+    assert events(bench) == [(started, "mine")]
+    bench.tick(2)
+    assert events(bench) == [(stopped, "mine")]
+    bench.run(program(IDLE, "first"))
+    bench.tick(2)
+    bench.run(program(IDLE, "second"))
+    bench.tick(2)
+    assert events(bench) == [(started, "first"), (stopped, "first"), (started, "second")]
+    bench.pendant.pause()
+    bench.tick(40)
+    assert events(bench) == []
+    bench.pendant.stop()
+    assert events(bench) == [(stopped, "second")]
+    bench.run("sec beside():\n  sync()\nend\n")
+    bench.tick(3)
+    assert events(bench) == []
+    bench.pendant.play()
+    bench.tick()
+    assert events(bench) == [(started, "second")]
+
+
+def test_an_error_is_reported_before_the_end_of_its_program(bench):
+    bench.run(program("sync()\nx = 1 / 0", "mine"))
+    bench.tick(3)
+    assert [event[0] for event in events(bench)] == ["PROGRAM_XXX_STARTED", 3, "PROGRAM_XXX_STOPPED"]
+
+
+@pytest.mark.parametrize("word", ["calldoesntexist", "novariable"])
+def test_unknown_names_are_reported_in_urs_words(bench, word):
+    bench.run(program(f"{word}()" if word[0] == "c" else f"x = 1 + {word}"))
+    assert events(bench) == [(2, 3 if word[0] == "c" else 11, f"compile_error_name_not_found:{word}:")]
+
+
+def test_a_movej_beyond_the_joint_limits_ends_its_program(bench):
+    """So that its sockets close, and a client that waits for its end goes on. UR's client library tests both ways."""
+    for goal in ("[-123, 0, 0, 0, 0, 0]", "[0, -1.57, 3.2, 0, 0, 0]"):
+        bench.run(program(f"{MOVE[:-1]}, r=0.05)\nmovej({goal})", "far"))
+        bench.tick()
+        bench.until(lambda: bench.state == RuntimeState.STOPPED)
+        _, (line, column, text), stopped = events(bench)
+        assert (line, column, stopped) == (3, 3, ("PROGRAM_XXX_STOPPED", "far"))
+        assert "allowed are" in text
+        assert bench.controller.safety.safety_mode == SafetyMode.NORMAL
+        assert bench.moved == 0.0
 
 
 def test_a_program_runs_from_its_first_tick_to_its_end(bench):

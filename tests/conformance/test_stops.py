@@ -90,6 +90,16 @@ def test_a_protective_stop_can_be_unlocked_only_later(controller, token):
             rtde.until(lambda now: now["output_int_register_11"] == token, "the program to go on")
 
 
+@pytest.mark.assumption("primary_unlock_waits")
+def test_the_primary_interface_unlocks_a_protective_stop(controller):
+    with controller.rtde(TRACE) as rtde:
+        controller.call("protective_stop()\nsync()")
+        begin = stopped(rtde)[1]["timestamp"]
+        controller.run("set unlock protective stop\n", PRIMARY)
+        now = rtde.until(lambda now: now["safety_mode"] == 1 or now["timestamp"] > begin + 1.0, "the stop to end")[-1]
+    assert (now["safety_mode"] != 1) == controller.assumed.primary_unlock_waits
+
+
 @pytest.mark.assumption("starved_ticks")
 def test_a_program_must_not_abandon_a_moving_arm(controller, token):
     register = "output_int_register_10"

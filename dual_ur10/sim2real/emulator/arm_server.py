@@ -108,7 +108,7 @@ _COMMANDS: Final[dict[str, Callable[[Pendant], None]]] = {
     "power on": Pendant.power_on,
     "power off": Pendant.power_off,
     "set robotmode run": Pendant.release_brakes,
-    "set unlock protective stop": Pendant.unlock_protective_stop,
+    "set unlock protective stop": lambda pendant: pendant.unlock_protective_stop(primary=True),
     "stop program": Pendant.stop,
 }
 """Lines on the script ports that are no programs: what UR's C++ client library sends to the primary interface."""

@@ -60,6 +60,12 @@ _HISTORY: Final = 1000  # control periods of joint positions kept for programs
 _SETPOINTS: Final = 50_000  # executed servoj targets kept
 _MESSAGES: Final = 256
 
+_LEVELS: Final[dict[int, messages.ReportLevel]] = {
+    SafetyMode.PROTECTIVE_STOP: messages.ReportLevel.WARNING,
+    SafetyMode.FAULT: messages.ReportLevel.FAULT,
+}
+"""Severity of stops as reported, others VIOLATION. That of a protective stop: the tests of UR's client library."""
+
 STEADY_RAD: Final = 0.01
 STEADY_RAD_S: Final = 0.001
 REDUCED_SPEED: Final = 0.5  # ratio of the speed in reduced mode; a real one depends on the safety configuration
@@ -144,6 +150,7 @@ class Controller:
         self.io = InputsOutputs()
         self.sockets = ScriptSockets(system, name)
         self.safety = Safety(profile.assumptions, powered=powered)
+        self._reported_mode = self.safety.safety_mode
         self.motion = Motion(
             profile.tick_s, substeps, q_rad, dh=dh, lookahead_scale=lookahead_scale, assumptions=profile.assumptions
         )
@@ -198,6 +205,9 @@ class Controller:
         self._measure(reading)
         self.motion.observe(reading.q_rad, reading.qd_rad_s)
         self.safety.tick(self.profile.tick_s, at_rest=not self.motion.moving or self.program.scaling == 0.0)
+        if self.safety.safety_mode != self._reported_mode:
+            self._reported_mode = self.safety.safety_mode
+            self.messages.append(messages.safety_mode_message(self.time_s, self._reported_mode))
         demand = self.safety.demand
         limit = REDUCED_SPEED if self.safety.reduced else 1.0
         self.program.tick(
@@ -279,9 +289,10 @@ class Controller:
         before = self.safety.safety_mode
         self.safety.stop(mode, text if code is None else f"{code}: {text}")
         if before != mode:
-            code = code or "C0A0"
-            self.messages.append(messages.error_code_message(self.time_s, code, text))
+            code, level = code or "C0A0", _LEVELS.get(mode, messages.ReportLevel.VIOLATION)
+            self.messages.append(messages.error_code_message(self.time_s, code, text, level=level))
             self.messages.append(messages.safety_mode_message(self.time_s, mode, code))
+            self._reported_mode = self.safety.safety_mode
 
     def send_text(self, text: str) -> None:
         """Send a text message of a program to clients of the primary interface."""

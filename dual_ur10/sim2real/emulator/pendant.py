@@ -100,9 +100,9 @@ class Pendant:
         """Release the brakes."""
         self._controller.safety.release_brakes()
 
-    def unlock_protective_stop(self) -> None:
-        """End a protective stop."""
-        self._controller.safety.unlock_protective_stop()
+    def unlock_protective_stop(self, *, primary: bool = False) -> None:
+        """End a protective stop. `primary`: whether the primary interface asks for it."""
+        self._controller.safety.unlock_protective_stop(primary=primary)
 
     def close_safety_popup(self) -> None:
         """Do nothing: this pendant has no screen."""

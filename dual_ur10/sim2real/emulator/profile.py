@@ -20,6 +20,7 @@ class Assumptions:
 
     Attributes:
         unlock_wait_s: Time after a protective stop for which the dashboard refuses to unlock it.
+        primary_unlock_waits: Whether the primary interface refuses it for as long, too.
         protective_stop_pauses: Whether a protective stop pauses the program, or else stops it.
         emergency_stop_pauses: The same for emergency stops.
         safeguard_resumes: Whether a program resumes by itself when a safeguard stop is released.
@@ -41,6 +42,7 @@ class Assumptions:
     """
 
     unlock_wait_s: float = 5.0
+    primary_unlock_waits: bool = False
     protective_stop_pauses: bool = True
     emergency_stop_pauses: bool = False
     safeguard_resumes: bool = True

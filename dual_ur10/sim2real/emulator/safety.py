@@ -189,8 +189,11 @@ class Safety:
         if self.robot_mode != RobotMode.DISCONNECTED:
             self.robot_mode = RobotMode.POWER_OFF
 
-    def unlock_protective_stop(self) -> None:
+    def unlock_protective_stop(self, *, primary: bool = False) -> None:
         """Release a protective stop, if there is one.
+
+        Args:
+            primary: Whether the request came on the primary interface, not from the dashboard or the pendant.
 
         Raises:
             OperationRefusedError: It is too early: its cause is to be inspected first.
@@ -198,7 +201,8 @@ class Safety:
         since = self._stopped.get(SafetyMode.PROTECTIVE_STOP)
         if since is None:
             return
-        if self._now_s - since < self.assumptions.unlock_wait_s:
+        waits = self.assumptions.primary_unlock_waits or not primary
+        if waits and self._now_s - since < self.assumptions.unlock_wait_s:
             raise OperationRefusedError(UNLOCK_TOO_EARLY)
         self.release(SafetyMode.PROTECTIVE_STOP)
 

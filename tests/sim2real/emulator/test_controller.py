@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import struct
 
 import numpy as np
 import pytest
@@ -268,6 +269,25 @@ def test_a_stop_from_outside_is_reported_once(bench, mode):
     assert safety[23] == mode
     with pytest.raises(OperationRefusedError, match="no stop"):
         bench.controller.stop(SafetyMode.NORMAL)
+
+
+@pytest.mark.parametrize(("mode", "level"), [(3, 2), (7, 3), (9, 4)])
+def test_the_level_of_a_stop_is_reported(bench, mode, level):
+    """A protective stop is a warning: UR's client library goes on after one if it was told to ignore warnings."""
+    bench.controller.messages.clear()
+    bench.controller.stop(mode, "somebody pressed it")
+    assert struct.unpack_from(">iii", bench.controller.messages[0], 15) == (0, 0, level)
+
+
+def test_the_safety_mode_after_a_stop_is_reported(bench):
+    bench.controller.stop(5)
+    bench.tick(3)
+    bench.controller.messages.clear()
+    bench.controller.safety.release(5)
+    bench.tick(3)
+    bench.controller.safety.reduce(True)
+    bench.tick(3)
+    assert [(each[14], each[23]) for each in bench.controller.messages] == [(5, 1), (5, 2)]
 
 
 @pytest.mark.parametrize("mode", [3, 5, 7, 42])

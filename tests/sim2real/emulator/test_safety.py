@@ -60,6 +60,13 @@ def test_a_protective_stop_is_not_unlocked_within_five_seconds():
     assert safety.may_move
 
 
+def test_the_primary_interface_may_wait_too():
+    safety = Safety(Assumptions(primary_unlock_waits=True))
+    safety.stop(SafetyMode.PROTECTIVE_STOP)
+    with pytest.raises(OperationRefusedError, match="5s"):
+        safety.unlock_protective_stop(primary=True)
+
+
 def test_unlocking_does_not_end_other_stops():
     safety = Safety(Assumptions())
     safety.stop(SafetyMode.PROTECTIVE_STOP)

@@ -29,7 +29,14 @@ def emulate(
             help="PolyScope version of the controllers, such as 5.26. Default: 3.15, or 5.12 of the e-Series.",
         ),
     ] = None,
-    task: Annotated[str, typer.Option("--task", help="Environment whose scene is simulated.")] = "SineTracking",
+    task: Annotated[
+        str | None,
+        typer.Option(
+            "--task",
+            help="Environment whose scene and start are simulated. Default: two arms of any model at home on a table, "
+            "with nothing to handle.",
+        ),
+    ] = None,
     cell: Annotated[
         str | None,
         typer.Option("--cell", help="Write a cell file, for programs that connect."),
@@ -40,7 +47,7 @@ def emulate(
     dh_error: Annotated[
         float, typer.Option("--dh-error-mm", min=0.0, help="Largest error of the arms' kinematics, in mm.")
     ] = 0.0,
-    seed: Annotated[int, typer.Option("--seed", help="Seed of the plant, the start, and random faults.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of the plant, a task's start, and random faults.")] = 0,
     programs: Annotated[
         str | None,
         typer.Option("--programs", help="Folder of programs (NAME.script) that the dashboard's load finds."),

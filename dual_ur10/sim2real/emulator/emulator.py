@@ -63,9 +63,9 @@ class EmulatorOptions:
         family: Family of both controllers; None: that of `robot`.
         robot: Model of both arms, or of the left and the right one; None: a UR10, or a UR10e of the e-Series.
         polyscope: PolyScope version of both controllers, a key of `POLYSCOPES`; None: the tested one of the family.
-        task: Id or name of the environment whose scene is simulated.
+        task: Id or name of the environment whose scene is simulated; None: two arms on a table, of any model.
         plant: Deviation of the plant from its nominal model; see `PlantOptions`.
-        seed: Seed of the sampled plant, the start of the episode, and random faults.
+        seed: Seed of the sampled plant, the start of a task's episode, and random faults.
         dh_error_m: Largest error of the arms' kinematics, m.
         powered: Whether the arms have power, and their brakes released, from the start.
         view: Whether MuJoCo's web viewer shows the cell.
@@ -83,7 +83,7 @@ class EmulatorOptions:
     family: str | None = None
     robot: str | Sequence[str] | None = None
     polyscope: str | None = None
-    task: str = "SineTracking"
+    task: str | None = None
     plant: str = "mild"
     seed: int = 0
     dh_error_m: float = 0.0
@@ -193,10 +193,11 @@ class Emulator:
             }
             for name, server, mount in zip(ARMS, self.servers, (config.left, config.right), strict=True)
         }
+        task = {} if self.options.task is None else {"task": env_id_of(self.options.task)}
         return {
             "kind": "emulated",
             **arms,
-            "emulator": {"task": env_id_of(self.options.task), "port": self._port.number, "pid": self._system.pid},
+            "emulator": {**task, "port": self._port.number, "pid": self._system.pid},
         }
 
     def run(self) -> None:

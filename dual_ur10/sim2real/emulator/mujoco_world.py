@@ -9,14 +9,16 @@ from typing import Any, Final
 import numpy as np
 
 from dual_ur10.assets.gripper import OPENING_M
+from dual_ur10.assets.settings import home_q_rad
 from dual_ur10.envs.core.randomization import PRESETS, apply_sample
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.sim.physics import Physics
 from dual_ur10.envs.sim.servo_reference import Motion
 from dual_ur10.envs.sim.torque_control import Torques
+from dual_ur10.envs.tasks.task import SceneRequirements
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.sim2real.config.cell import CellConfig, CellState
+from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.emulator.controller import ArmReading
 from dual_ur10.sim2real.emulator.motion import JointTorques
 from dual_ur10.types import Array, constant
@@ -36,7 +38,7 @@ class PlantOptions:
     Attributes:
         plant: "nominal" for the nominal model. "mild" or "wide" for a sample from the randomization of that name:
             masses, friction, lookahead, latency, base poses, object and grip.
-        seed: Seed of the sample, and of the start of the task's episode.
+        seed: Seed of the sample, and of the start of a task's episode.
         dh_error_m: Largest random error of the lengths in the arms' kinematics, m.
     """
 
@@ -54,15 +56,16 @@ class PlantOptions:
 
 
 class EmulatedWorld:
-    """Cell of a task, advanced by one control period at a time.
+    """Two arms on a table, or the cell of a task, advanced by one control period at a time.
 
     Args:
         config: Nominal cell.
-        task: Id of the environment, or a shorter name, which defines the scene and the start of its episode.
+        task: Id of the environment, or a shorter name, which defines the scene and the start of its episode; None:
+            nothing but the arms, which start at home.
         options: Deviation of the plant from the nominal model.
 
     Attributes:
-        config: The cell with the scene of the task.
+        config: The cell with its scene.
         substeps: Physics steps per control period.
         start_q_rad: (2, 6) initial joint positions.
         lookahead_scale: (2,) ratio of each controller's true lookahead to the commanded one.
@@ -70,12 +73,11 @@ class EmulatedWorld:
         sampled: Sampled parameters of the plant, by name.
     """
 
-    def __init__(self, config: CellConfig, task: str, options: PlantOptions) -> None:
-        setup = EnvSetup.resolve(task, {"cell": config, "action_latency_ticks": 0})
-        self.config = config = setup.config
+    def __init__(self, config: CellConfig, task: str | None, options: PlantOptions) -> None:
+        config, start = _arms_at_home(config) if task is None else _episode(config, task, options.seed)
+        self.config = config
         self.substeps = config.substeps
         rng = np.random.default_rng(options.seed)
-        start = setup.make_task().start(np.arange(1), [np.random.default_rng(options.seed)])
         self.start_q_rad: Array = np.asarray(start.q_rad, dtype=np.float64).reshape(2, 6)
         true = _with_dh_errors(config, options.dh_error_m, rng)
         self._physics = Physics(true, 1, self.substeps, 1)
@@ -240,6 +242,19 @@ class _Hand:
         self._ticks -= 1
         if self._ticks <= 0:
             self.wrench = NO_WRENCH
+
+
+def _arms_at_home(config: CellConfig) -> tuple[CellConfig, Start]:
+    """Return the cell with the default scene, and both arms at home."""
+    scene = SceneRequirements()
+    config = config.equipped(scene.equipment, scene.timestep_s, scene.gains)
+    return config, Start(home_q_rad((config.left, config.right))[None])
+
+
+def _episode(config: CellConfig, task: str, seed: int) -> tuple[CellConfig, Start]:
+    """Return the cell with the scene of a task, and the start of an episode."""
+    setup = EnvSetup.resolve(task, {"cell": config, "action_latency_ticks": 0})
+    return setup.config, setup.make_task().start(np.arange(1), [np.random.default_rng(seed)])
 
 
 def _with_dh_errors(config: CellConfig, most_m: float, rng: np.random.Generator) -> CellConfig:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dual_ur10.assets.settings import default_mount, home_q_rad
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.robots import ROBOTS
@@ -24,6 +25,23 @@ def facts_of(robot: str) -> PrimaryFacts:
     profile, dh = profile_for(robot), nominal_dh(robot)
     rows = (dh.theta_rad, dh.a_m, dh.d_m, dh.alpha_rad)
     return PrimaryFacts(profile.version, profile.robot_type, kinematics_checksums(dh), *rows)
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_every_model_is_emulated_without_a_task(robot: str) -> None:
+    """Two controllers for a client of one's own need no task that the arms can do: UR3 and UR3e can do none."""
+    emulator = Emulator(EmulatorOptions(robot=robot, plant="nominal"))
+    try:
+        for _ in range(3):
+            emulator.tick()
+        assert not emulator.world.failed
+        assert "task" not in emulator.description()["emulator"]
+        for arm, server in enumerate(emulator.servers):
+            q_rad = server.controller.reading.q_rad
+            np.testing.assert_allclose(q_rad, home_q_rad([default_mount(arm, robot)])[0], atol=1e-6)
+            assert server.ports.keys() == {"dashboard", "primary", "secondary", "realtime", "rtde"}
+    finally:
+        emulator.close()
 
 
 @pytest.mark.parametrize("robots", ["ur5", ("ur5e", "ur10e"), "ur20"])

@@ -39,6 +39,7 @@ from dual_ur10.sim2real.emulator.robotiq import RobotiqGripper
 from dual_ur10.sim2real.emulator.sockets import Hub
 from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.protocol.modes import RobotMode, SafetyMode
+from dual_ur10.sim2real.runtime.latch import clear_ended
 
 log = logging.getLogger(__name__)
 
@@ -202,6 +203,8 @@ class Emulator:
 
     def run(self) -> None:
         """Advance in real time until the cell ends."""
+        with contextlib.suppress(SettingsError):  # without a state folder there is nothing to clear away
+            clear_ended(self._system)
         self._system.dedicate()
         self._due_s = self._clock.now_s()
         if self.options.phase_s is not None:

@@ -143,6 +143,59 @@ def test_an_emulator_that_was_started_anew_has_no_faults(cell):
     assert Latch(cell).read() is None
 
 
+def test_files_of_emulators_that_have_ended_are_cleared_away(cell, tmp_path, home):
+    ended = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, check=True)
+    old, new = (cell.replace(emulator=EmulatorEntry(port=5000, pid=pid)) for pid in (int(ended.stdout), os.getpid()))
+    handwritten = made(tmp_path, "127.0.0.6", "127.0.0.7")
+    for each in (old, new, handwritten):
+        Latch(each).set("stopped")
+        lock = CellLock(each)
+        lock.note_moving()
+        lock.release(in_order=False)
+    held = CellLock(made(tmp_path, "127.0.0.8", "127.0.0.9"))
+    CellLock(made(tmp_path, "127.0.0.10", "127.0.0.11")).release()
+    folder = home / "dual_ur10"
+    others = ["lock-192.168.1.10", "fault-192.168.1.10.json", "lock-127.0.0.x", "fault-127.0.0.2-x.json"]
+    for name in others:
+        (folder / name).write_text("7\n")
+    (folder / "lock-127.0.0.20").symlink_to(folder / "lock-192.168.1.10")
+    latch.clear_ended(LOCAL)
+    kept = {path.name for path in folder.iterdir()}
+    arms = [f"127.0.0.{arm}" for arm in (2, 3)]
+    assert kept == {
+        *(f"lock-{host}" for host in arms),  # of the emulator that runs: they say that its arms moved
+        *(f"fault-{host}-{os.getpid()}.json" for host in arms),
+        *(f"{kind}-127.0.0.{arm}{end}" for arm in (6, 7) for kind, end in (("lock", ""), ("fault", ".json"))),
+        "lock-127.0.0.8",
+        "lock-127.0.0.9",
+        "lock-127.0.0.20",
+        *others,
+    }
+    assert Latch(old).read() is None
+    assert Latch(new).read() is not None
+    held.release()
+    latch.clear_ended(LOCAL)
+    assert kept - {path.name for path in folder.iterdir()} == {"lock-127.0.0.8", "lock-127.0.0.9"}
+
+
+def test_a_lock_that_is_cleared_away_while_it_is_opened_is_made_anew(cell, tmp_path, monkeypatch):
+    """Otherwise two programs could hold one arm: one a file without a name, the other its successor."""
+    flock, cleared = latch.fcntl.flock, []
+
+    def clears_first(file, how):
+        if not cleared:
+            cleared.append(True)
+            latch.clear_ended(LOCAL)
+        flock(file, how)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(latch.fcntl, "flock", clears_first)
+        lock = CellLock(cell)  # its left arm's is cleared away
+    with pytest.raises(CellBusyError, match="left arm"):
+        CellLock(made(tmp_path, "127.0.0.2", "127.0.0.9"))
+    lock.release()
+
+
 @pytest.mark.parametrize(
     "content",
     [b"", b"{", b"\xff\xfe", b"[]", b"3", b'"text"', b"{}", b'{"text": "a"}', b"null", b"[" * 60_000, b" " * 70_000],

@@ -1,5 +1,7 @@
 """Lines on the script ports that are no programs, as UR's C++ client library sends them."""
 
+import struct
+
 import pytest
 
 from dual_ur10.testing import VirtualCell
@@ -48,6 +50,25 @@ def test_a_protective_stop_is_unlocked_without_the_dashboards_wait(cell, send):
         cell.clock.sleep(after_s)
         send("set unlock protective stop")
         assert mode(cell, "safety_mode") == 1
+
+
+@pytest.mark.parametrize("phase_s", [0.0, 0.03, 0.07])
+def test_the_state_of_a_stop_comes_before_its_messages(cell, phase_s):
+    """UR's client library releases a stop at its message, and waits until the state no longer has it."""
+    transport = cell.system.connect(cell.left, 30001, 1.0)
+    cell.clock.sleep(0.2 + phase_s)
+    cell.ask("stop", arm="left", mode=3)
+    cell.clock.sleep(0.01)
+    stream, found = transport.receive_now(1 << 20), []
+    while stream:
+        size, kind = struct.unpack_from(">iB", stream)
+        # A message, or the bit of the robot mode data, which come first in a state.
+        found.append({6: "error", 5: "mode"}.get(stream[14]) if kind == 20 else bool(stream[5 + 5 + 12]))
+        stream = stream[size:]
+    cell.ask("release", arm="left", mode=3)
+    transport.close()
+    at = found.index("error")
+    assert found[at - 1 : at + 2] == [True, "error", "mode"]
 
 
 def test_local_mode_refuses_them(cell, send):

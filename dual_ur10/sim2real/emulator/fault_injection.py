@@ -333,11 +333,12 @@ class FaultInjection:
         server.pretend(dataclasses.replace(server.shown, **values), server.kinematics)
 
     def do_calibration(self, arm: str, error_m: float) -> None:
-        """Report a calibration that is off by this much."""
+        """Report a calibration by which the flange is off by this much in every configuration: the upper arm is."""
         server = self._arm(arm)
         dh = server.controller.dh
-        off = dataclasses.replace(dh, a_m=tuple(each + error_m * bool(each) for each in dh.a_m))
-        server.pretend(server.shown, off)
+        shoulder, upper_arm, *others = dh.a_m
+        a_m = (shoulder, upper_arm + error_m, *others)
+        server.pretend(server.shown, dataclasses.replace(dh, a_m=a_m))
 
     def do_shutdown(self) -> None:
         """End the emulated cell."""

@@ -1,6 +1,7 @@
 """Fault injection: each request has its effect, and no input disturbs the cell."""
 
 import json
+import math
 import re
 import socket
 import struct
@@ -12,7 +13,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dual_ur10.kinematics.ur10 import ARMS
+from dual_ur10.kinematics import flange_pose
+from dual_ur10.kinematics.ur10 import ARMS, DHParameters
 from dual_ur10.sim2real.emulator.link_faults import LinkFaults
 from dual_ur10.sim2real.emulator.script import parse
 from dual_ur10.sim2real.protocol.modes import RobotMode
@@ -566,22 +568,27 @@ def test_another_controller_is_reported_to_clients(cell):
 
 
 def test_another_calibration_is_reported_to_clients(cell):
-    def checksums(arm):
+    def kinematics(arm):
         with Client(cell, arm, "primary") as primary:
             body = packets(primary.read(30))[16][0]
-        return struct.unpack_from(">6I", body, body.index(struct.pack(">iB", 225, 5)) + 5)
+        return struct.unpack_from(">6I24d", body, body.index(struct.pack(">iB", 225, 5)) + 5)
 
-    true = checksums(0)
-    assert checksums(1) == true
-    cell.get("calibration", arm="left", error_m=0.001)
-    off = checksums(0)
-    assert off[1] != true[1]
-    assert off[2] != true[2]
-    assert checksums(1) == true
+    def flange(reported, q_rad):
+        theta, a, d, alpha = (reported[start : start + 6] for start in range(6, 30, 6))
+        return flange_pose(q_rad, DHParameters(a, d, alpha, theta, "ur10"))[0]
+
+    true = kinematics(0)
+    assert kinematics(1) == true
+    cell.get("calibration", arm="left", error_m=0.004)
+    off = kinematics(0)
+    assert [one != other for one, other in zip(off[:6], true[:6], strict=True)] == [False, True, *[False] * 4]
+    for q_rad in np.random.default_rng(0).uniform(-3.0, 3.0, (20, 6)):
+        assert math.dist(flange(off, q_rad), flange(true, q_rad)) == pytest.approx(0.004)
+    assert kinematics(1) == true
     cell.get("pretend", arm="left", serial_number="1")  # does not end it
-    assert checksums(0) == off
+    assert kinematics(0) == off
     cell.get("calibration", arm="left", error_m=0.0)
-    assert checksums(0) == true
+    assert kinematics(0) == true
     for bad in (float("nan"), "x", None, [1]):
         cell.refused("calibration", arm="left", error_m=bad)
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dual_ur10.errors import KernelError
 from dual_ur10.types import Array
@@ -26,6 +27,11 @@ LIBRARY: Final = FOLDER / "_kernel.so"
 _MEASURE: Final = ctypes.CFUNCTYPE(
     None, ctypes.c_void_p, ctypes.POINTER(ctypes.c_double), ctypes.POINTER(ctypes.c_double)
 )
+
+# Functions that keep the GIL: to release it takes longer than they do.
+_LOAD: Final = ctypes.PYFUNCTYPE(ctypes.c_int64, ctypes.c_void_p)
+_STORE: Final = ctypes.PYFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64)
+_SWAP: Final = ctypes.PYFUNCTYPE(ctypes.c_int64, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
 
 _TYPES: Final = {"int": ctypes.c_int64, "real": ctypes.c_double}
 _ELEMENTS: Final = {"ints": np.dtype(np.int64), "reals": np.dtype(np.float64)}
@@ -198,6 +204,32 @@ class Struct:
 
 def _rebuilt(name: str, values: dict[str, Any]) -> Struct:
     return Struct(name, **values)
+
+
+class Counters:
+    """Counters in memory that processes share. Who reads a value sees all that its writer wrote before.
+
+    Args:
+        values: (n,) int64, contiguous.
+    """
+
+    def __init__(self, values: NDArray[np.int64]) -> None:
+        library()  # with its checks
+        self._values = values  # keeps the memory
+        self._addresses = [values.ctypes.data + values.itemsize * number for number in range(values.size)]
+        self._load: Callable[[int], int] = _LOAD(_address("counter_load"))
+        self._store: Callable[[int, int], None] = _STORE(_address("counter_store"))
+        self._swap = _SWAP(_address("counter_swap"))
+
+    def __getitem__(self, number: int) -> int:
+        return self._load(self._addresses[number])
+
+    def __setitem__(self, number: int, value: int) -> None:
+        self._store(self._addresses[number], value)
+
+    def swap(self, number: int, found: int, value: int) -> bool:
+        """Write a value where another one is found, in one step; return False if it is not."""
+        return bool(self._swap(self._addresses[number], found, value))
 
 
 class Constants:

@@ -3,6 +3,7 @@
 #include "carry.hpp"
 #include "carry_path.hpp"
 #include "clearance.hpp"
+#include "counters.hpp"
 #include "forward.hpp"
 #include "gate.hpp"
 #include "grasps.hpp"

@@ -72,6 +72,19 @@ def test_a_function_takes_only_contiguous_numbers(array: np.ndarray) -> None:
         kernel.call("clearance_spare", 0, array, np.zeros(1))
 
 
+def test_counters_are_read_written_and_exchanged() -> None:
+    values = np.zeros(3, dtype=np.int64)
+    counters = kernel.Counters(values)
+    counters[2] = 2**40
+    counters[0] = -1
+    assert values.tolist() == [counters[0], counters[1], counters[2]] == [-1, 0, 2**40]
+    assert counters.swap(2, 2**40, 5)
+    assert not counters.swap(2, 2**40, 6)
+    assert values.tolist() == [-1, 0, 5]
+    with pytest.raises(IndexError):
+        counters[3] = 1
+
+
 @pytest.fixture
 def copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Copy of the compiled package that the loader looks at."""

@@ -11,12 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.errors import SettingsError
+from dual_ur10.kernel import Counters
 
 Layout = Mapping[str, tuple[type[np.generic], tuple[int, ...]]]
 
 
 class SharedBlock:
     """Arrays without locks: each number has one writer, and a counter is written after what it counts.
+
+    Counters go through `counters`, which holds this order on every processor.
 
     Args:
         layout: Type and shape of each array, by name.
@@ -54,6 +57,10 @@ class SharedBlock:
 
     def __getitem__(self, key: str) -> Any:
         return self._arrays[key]
+
+    def counters(self, key: str) -> Counters:
+        """Return an array of int64 as counters; anew after `close`."""
+        return Counters(self._arrays[key])
 
     def set_text(self, key: str, text: str) -> None:
         """Write a text into an array of bytes, cut off where it does not fit."""

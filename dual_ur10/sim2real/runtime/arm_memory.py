@@ -89,8 +89,8 @@ class ArmMemory:
         self._view()
 
     def _view(self) -> None:
-        # Views of memory: reading one number of an array takes three times as long.
-        self._ints: memoryview[int] = memoryview(self._block["ints"])
+        self._ints = self._block.counters("ints")
+        # A view of memory: reading one number of an array takes three times as long.
         self._floats: memoryview[float] = memoryview(self._block["floats"])
         self._targets: Array = self._block["targets"]
         self._sent: Array = self._block["sent"]

@@ -15,13 +15,14 @@ from dual_ur10.sim2real.processes.shared_memory import Layout, SharedBlock
 _TEXT: Final = 2048
 _SCALINGS: Final = 4  # kept, so that readers find a complete one while the next is written
 _TRIES: Final = 1000
-_SEQUENCE, _FAULT, _LIVE, _CLOSING, _READY, _REDUCED, _SUPERVISOR = range(7)
+_REASONS: Final = tuple(f"reason {number}" for number in range(16))  # more than writers at the same time
+_SEQUENCE, _FAULT, _LIVE, _CLOSING, _READY, _REDUCED, _SUPERVISOR, _BEGUN, _TAKEN = range(9)
 _SUPERVISOR_S, _FRESH, _BEGIN_S, _PROXIMITY = range(4)
 _LAYOUT: Final[Layout] = {
-    "ints": (np.int64, (8,)),
+    "ints": (np.int64, (16,)),
     "floats": (np.float64, (8,)),
     "scalings": (np.float64, (_SCALINGS, 7)),
-    "text": (np.uint8, (_TEXT,)),
+    **dict.fromkeys(_REASONS, (np.uint8, (_TEXT,))),
 }
 
 
@@ -45,8 +46,8 @@ class CellMemory:
             self.limit_scaling(1.0)
 
     def _view(self) -> None:
-        # Views of memory: reading one number of an array takes three times as long.
-        self._ints: memoryview[int] = memoryview(self._block["ints"])
+        self._ints = self._block.counters("ints")
+        # A view of memory: reading one number of an array takes three times as long.
         self._floats: memoryview[float] = memoryview(self._block["floats"])
         self._scalings: NDArray[np.float64] = self._block["scalings"]
 
@@ -59,6 +60,7 @@ class CellMemory:
     def begin(self, at_s: float) -> None:
         """Set the start of control period 0 on the monotonic clock."""
         self._floats[_BEGIN_S] = at_s
+        self._ints[_BEGUN] = 1
 
     def expect(self, fresh: float, *, live: bool) -> None:
         """Set the number after the policy's last target; `live`: the policy owes the following ones."""
@@ -94,10 +96,18 @@ class CellMemory:
     # Written by whichever process is first.
 
     def enter_fault(self, reason: str) -> None:
-        """Request a latched stop of both arms. The first reason is kept."""
-        if not self._ints[_FAULT]:
-            self._block.set_text("text", reason)
-            self._ints[_FAULT] = 1
+        """Request a latched stop of both arms. The first reason is kept, whole.
+
+        Each writer takes a text of its own; the first to have written one makes it the fault.
+        """
+        if self._ints[_FAULT]:
+            return
+        taken = self._ints[_TAKEN]
+        while not self._ints.swap(_TAKEN, taken, taken + 1):
+            taken = self._ints[_TAKEN]
+        number = min(taken, len(_REASONS) - 1)  # a fault is never lost, even if its text might be
+        self._block.set_text(_REASONS[number], reason)
+        self._ints.swap(_FAULT, 0, 1 + number)
 
     # Read by all.
 
@@ -127,7 +137,7 @@ class CellMemory:
     @property
     def begin_s(self) -> float:
         """Start of control period 0; 0: not set yet."""
-        return self._floats[_BEGIN_S]
+        return self._floats[_BEGIN_S] if self._ints[_BEGUN] else 0.0
 
     @property
     def supervisor_beat_s(self) -> float:
@@ -167,7 +177,8 @@ class CellMemory:
     @property
     def fault(self) -> str:
         """Reason of the latched stop; "": there is none."""
-        return self._block.text("text") if self._ints[_FAULT] else ""
+        number = self._ints[_FAULT]
+        return self._block.text(_REASONS[number - 1]) if number else ""
 
     def close(self) -> None:
         """Release the memory. May be called twice."""

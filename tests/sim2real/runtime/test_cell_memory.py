@@ -5,10 +5,12 @@ from __future__ import annotations
 import subprocess
 import sys
 from dataclasses import astuple
+from unittest import mock
 
 import pytest
 
 from dual_ur10.errors import LinkError, SettingsError
+from dual_ur10.kernel import Counters
 from dual_ur10.sim2real.control.time_scaling import TimeScaling
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
@@ -146,6 +148,53 @@ def test_the_first_fault_stays(pair):
     assert mine.fault == theirs.fault
     assert mine.fault.startswith("right: größer als erlaubt")
     assert len(mine.fault) < 2048
+
+
+@pytest.mark.parametrize("others", [1, 40])
+def test_a_fault_stays_whole_while_others_enter_theirs(pair, monkeypatch, others):
+    mine, theirs = pair
+    write, seen = mine._block.set_text, []
+
+    def interrupted(key, text):
+        write(key, text[: len(text) // 2])
+        for number in range(others):
+            theirs.enter_fault(f"{number}: theirs")
+            seen.append(theirs.fault)
+        write(key, text)
+
+    monkeypatch.setattr(mine._block, "set_text", interrupted)
+    mine.enter_fault("mine, and much longer than theirs")
+    assert set(seen) == {"0: theirs"}
+    assert mine.fault == theirs.fault == "0: theirs"
+
+
+def test_a_writer_that_dies_loses_no_fault(pair, monkeypatch):
+    mine, theirs = pair
+    with monkeypatch.context() as patch:
+        patch.setattr(mine._block, "set_text", mock.Mock(side_effect=KeyboardInterrupt))
+        for _ in range(100):
+            with pytest.raises(KeyboardInterrupt):
+                mine.enter_fault("never written")
+    assert not theirs.fault
+    theirs.enter_fault("another")
+    assert mine.fault == "another"
+
+
+def test_counters_are_those_of_the_kernel_in_all_shared_memory(pair):
+    """Plain stores are seen in their order by x86 alone."""
+    arm = ArmMemory()
+    for memory in (*pair, arm):
+        assert isinstance(memory._ints, Counters)
+    arm.close()
+    assert isinstance(arm._ints, Counters)
+
+
+def test_the_begin_is_seen_with_what_was_written_before(pair):
+    mine, theirs = pair
+    mine._floats[2] = 12.5  # seen early, as other processors may show it
+    assert theirs.begin_s == 0.0
+    mine.begin(12.5)
+    assert theirs.begin_s == 12.5
 
 
 def test_memory_that_is_closed_is_gone():

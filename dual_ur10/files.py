@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import secrets
 import stat
 from pathlib import Path
 
@@ -65,9 +66,14 @@ def write_text(path: str | Path, text: str) -> None:
     """
     target = check_target(path)
     # In the same folder: a file can be renamed within one file system only.
-    part = target.with_name(f".{target.name[:100]}.{os.getpid()}.part")
+    # A process id is not unique: another container may share the folder.
+    part = target.with_name(f".{target.name[:100]}.{secrets.token_hex(8)}.part")
     try:
-        with part.open("x", encoding="utf-8", newline="") as file:
+        file = part.open("x", encoding="utf-8", newline="")
+    except OSError as error:
+        raise DualUR10Error(f"cannot write {path}: {error}") from error
+    try:
+        with file:
             file.write(text)
             file.flush()
             os.fsync(file.fileno())

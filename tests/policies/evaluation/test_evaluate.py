@@ -673,6 +673,28 @@ def test_a_file_is_replaced_at_once_or_not_at_all(write: Any, tmp_path: Path, mo
     assert sorted(tmp_path.iterdir()) == [link, path]
 
 
+def test_the_unfinished_file_of_another_writer_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a folder shared by containers two processes may have the same id, and names may coincide by chance."""
+    parts = []
+
+    def full(_: int) -> None:
+        parts.extend(tmp_path.glob(".*.part"))
+        raise OSError("no space left")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(files.os, "fsync", full)
+        patch.setattr(files, "secrets", SimpleNamespace(token_hex=lambda size: "1"), raising=False)
+        with pytest.raises(errors.DualUR10Error, match="no space left"):
+            files.write_text(tmp_path / "x", "mine")
+        parts[0].write_text("theirs")
+        with pytest.raises(errors.DualUR10Error, match="File exists"):
+            files.write_text(tmp_path / "x", "mine")
+    assert parts[0].read_text() == "theirs"
+    files.write_text(tmp_path / "x", "mine")
+    assert (tmp_path / "x").read_text() == "mine"
+    assert sorted(tmp_path.iterdir()) == [parts[0], tmp_path / "x"]
+
+
 def test_a_path_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
     for path, reason in (

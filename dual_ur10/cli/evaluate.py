@@ -68,7 +68,10 @@ def evaluate(
     ] = None,
     no_record: NoRecord = False,
 ) -> None:
-    """Run many episodes of a policy, and print its success rate and further figures."""
+    """Run many episodes of a policy, and print its success rate and further figures.
+
+    With --cell, both arms move to the start of every episode; real ones after your yes to each of these motions.
+    """
     from dual_ur10.policies.evaluation.evaluate import evaluate as run
 
     env_id, keywords = env_id_of(env), keywords_of(settings, perturbed, cell, arm)
@@ -106,7 +109,14 @@ def evaluate(
                     console.print(done, highlight=False)
 
             found = run(
-                env_id, policy, episodes=episodes, seed=seed, num_envs=envs, env_kwargs=keywords, on_progress=show
+                env_id,
+                policy,
+                episodes=episodes,
+                seed=seed,
+                num_envs=envs,
+                env_kwargs=keywords,
+                move_to_start=cell is not None,  # whoever names a cell here asks for these motions
+                on_progress=show,
             )
     except KeyboardInterrupt:
         if found is not None:

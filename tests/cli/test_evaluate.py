@@ -106,7 +106,9 @@ def test_randomization_is_a_keyword_of_the_environment(monkeypatch: pytest.Monke
     code, text = run("SineTracking", "--randomization", "plant", "--set", "randomize=false")
     assert (code, text) == (130, "interrupted after 0 of 300 episodes; no result was written\n")
     assert seen["env_kwargs"] == {"randomization": "plant", "randomize": False}
-    assert (seen["episodes"], seen["seed"], seen["num_envs"]) == (300, 0, 8)
+    assert (seen["episodes"], seen["seed"], seen["num_envs"], seen["move_to_start"]) == (300, 0, 8, False)
+    run("SineTracking", "--cell", "lab.toml", "--no-record")
+    assert seen["move_to_start"] is True
 
 
 def test_ctrl_c_prints_the_episodes_so_far(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 
 from dual_ur10.envs.core.ends import details_of, early_end
 from dual_ur10.envs.core.options import AS_ON_CONTROLLERS, MOVE_TO_START
-from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError
+from dual_ur10.errors import DualUR10Error, ResetRefusedError, SettingsError, UnknownNameError
 from dual_ur10.ids import ENTRY_POINTS, __version__
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies.baselines import RandomPolicy, ZeroPolicy
@@ -46,6 +46,7 @@ def evaluate(
     num_envs: int = 8,
     env_kwargs: Mapping[str, Any] | None = None,
     max_steps: int | None = None,
+    move_to_start: bool = False,
     on_progress: Callable[[Evaluation], None] | None = None,
 ) -> Evaluation:
     """Run episodes with the seeds `seed`, `seed + 1`, ..., and return their results.
@@ -68,6 +69,8 @@ def evaluate(
             `record`, `num_envs` must be 1: only one cell can be recorded.
         max_steps: Steps after which an episode that has not ended is an error. None: 600 s of simulated time, or twice
             the task's `duration_s` if that is longer.
+        move_to_start: Consent to the motion of both arms to the start of every episode, on a cell of two controllers;
+            as in the options of a reset, only the first episode needs none. It has no effect in simulation.
         on_progress: Callback with the evaluation of all leading episodes that have ended, as it would be without the
             others. Called whenever their number grows.
 
@@ -75,6 +78,7 @@ def evaluate(
         SettingsError: A number is out of its range, or the evaluation itself sets a keyword.
         UnknownNameError: No such environment, policy or keyword.
         PolicyError: The policy is none.
+        ResetRefusedError: Several episodes on a cell of two controllers lack consent. Nothing has moved.
         DualUR10Error: An episode did not end within `max_steps`, or the policy or the environment failed.
     """
     for name, value, least in (("episodes", episodes, 1), ("seed", seed, 0), ("num_envs", num_envs, 1)):
@@ -97,6 +101,12 @@ def evaluate(
         actor = actor_of(policy, env) if actor is None else actor
         core = env.unwrapped.core
         bound = _bound(core, max_steps)
+        if episodes > 1 and core.config.file is not None and not (move_to_start or core.options.confirm is not None):
+            raise ResetRefusedError(
+                f"{episodes} episodes on a cell of two controllers move both arms to where each of them begins, and "
+                "that needs your consent: pass evaluate(..., move_to_start=True), or confirm= in env_kwargs, which is "
+                "asked before each such motion. Nothing has moved"
+            )
 
         def result(found: Sequence[Episode]) -> Evaluation:
             return Evaluation(
@@ -114,7 +124,9 @@ def evaluate(
             if on_progress is not None:
                 on_progress(result(found))
 
-        return result(_run(env, actor, range(seed, seed + episodes), core.timing.period_s, bound, report))
+        return result(
+            _run(env, actor, range(seed, seed + episodes), core.timing.period_s, bound, move_to_start, report)
+        )
     finally:
         env.close()
 
@@ -125,6 +137,7 @@ def _run(
     seeds: range,
     period_s: float,
     max_steps: int,
+    move_to_start: bool,
     report: Callable[[Sequence[Episode]], None],
 ) -> list[Episode]:
     n, kind, one_by_one = env.num_envs, env.single_action_space.dtype, isinstance(actor, EpisodeAware)
@@ -136,7 +149,7 @@ def _run(
     observation: Any = None
     while live.any():
         if fresh.any():
-            options = {"reset_mask": fresh, MOVE_TO_START: True}
+            options = {"reset_mask": fresh, MOVE_TO_START: move_to_start}
             observation, _ = env.reset(seed=[seeds[k] for k in current], options=options)
             tally.begin(fresh)
             if fresh.all():

@@ -17,6 +17,7 @@ from dual_ur10.envs.core.sensing import Sensing
 from dual_ur10.envs.core.setup import EnvSetup, check_for_controllers
 from dual_ur10.errors import ResetNeededError, ResetRefusedError, SettingsError, StartError
 from dual_ur10.policies.baselines import ZeroPolicy
+from dual_ur10.policies.evaluation import evaluate as evaluation
 from dual_ur10.policies.evaluation.rollout import rollout
 from dual_ur10.sim2real.config.cell_file import load_cell_file
 from dual_ur10.sim2real.config.cell_file_reference import starting_text
@@ -174,6 +175,40 @@ def test_our_vector_environment_needs_consent(path):
         env.reset(options={"reset_mask": np.array([True])})
     env.reset(options={"reset_mask": np.array([True]), **CONSENT})
     env.close()
+
+
+@pytest.mark.parametrize("consent", [{}, {"move_to_start": False}, {"move_to_start": True}, {"confirm": True}])
+def test_an_evaluation_takes_its_consent_from_its_caller(path, monkeypatch, consent):
+    moves = []
+    make = evaluation._make
+
+    def made(*arguments):
+        env = make(*arguments)
+        take_for_controllers(env.unwrapped.core, path)
+        core = env.unwrapped.core
+        if "confirm" in consent:
+            core.setup = replace(core.setup, options=replace(core.setup.options, confirm=lambda question: True))
+        reset = core.cell.reset
+        monkeypatch.setattr(
+            core.cell, "reset", lambda *args, **keywords: (moves.append(1), reset(*args, **keywords))[1]
+        )
+        return env
+
+    monkeypatch.setattr(evaluation, "_make", made)
+    keywords = {name: value for name, value in consent.items() if name == "move_to_start"}
+
+    def evaluate(episodes):
+        return evaluation.evaluate(
+            SINE, "zero", episodes=episodes, num_envs=1, env_kwargs={"duration_s": 0.2}, **keywords
+        )
+
+    if any(consent.values()):
+        assert len(evaluate(2).episodes) == len(moves) == 2
+        return
+    with pytest.raises(ResetRefusedError, match=r"needs your consent: pass evaluate\(\.\.\., move_to_start=True\)"):
+        evaluate(2)
+    assert moves == []
+    assert len(evaluate(1).episodes) == len(moves) == 1
 
 
 def test_two_agents_need_consent(path):

@@ -49,6 +49,7 @@ _DRAIN_S: Final = 0.2  # for the lines that an ended process printed
 _AUTOGROUP: Final = "/proc/self/autogroup"
 _SCHED_SETATTR: Final = {"x86_64": 314, "aarch64": 274}  # numbers of the system call, which libc does not wrap
 _RESET_ON_FORK: Final = 1
+_RESETS: Final = 0x40000000  # the same as part of a policy
 _SCHED_ATTR: Final = struct.Struct("IIQiIQQQ")  # sched_setattr(2): size, policy, flags, nice, priority, slice in ns, ..
 
 
@@ -81,21 +82,28 @@ def hasten(rt_priority: int = 0, slice_s: float = LONGER_SLICE_S) -> None:
         raise SettingsError(f"{reason}: allow it (rtprio in limits.conf), or set it to 0") from error
 
 
-def shorten_slice(slice_s: float = LONGER_SLICE_S, *, inherited: bool) -> None:
+def shorten_slice(slice_s: float = LONGER_SLICE_S, *, inherited: bool) -> float:
     """Ask for a short time slice for the calling thread. A refusal changes nothing.
 
     Args:
-        slice_s: Time slice, s.
+        slice_s: Time slice, s; 0: leave it.
         inherited: Threads and processes that it starts from now on get it, too. Otherwise they begin with the
             system's ordinary scheduling.
+
+    Returns:
+        Time slice of before, s; 0: unknown.
     """
-    number = _SCHED_SETATTR.get(platform.machine())
-    if sys.platform == "linux" and number is not None and os.sched_getscheduler(0) == os.SCHED_OTHER:
+    number, before_ns = _SCHED_SETATTR.get(platform.machine()), 0
+    if sys.platform == "linux" and number is not None and os.sched_getscheduler(0) & ~_RESETS == os.SCHED_OTHER:
+        call, found = ctypes.CDLL(None).syscall, ctypes.create_string_buffer(_SCHED_ATTR.size)
+        if call(number + 1, 0, found, _SCHED_ATTR.size, 0) == 0:  # sched_getattr
+            before_ns = _SCHED_ATTR.unpack(found)[5]
         nice = os.getpriority(os.PRIO_PROCESS, 0)
         flags = 0 if inherited else _RESET_ON_FORK
         slice_ns = round(1e9 * slice_s)
         attributes = _SCHED_ATTR.pack(_SCHED_ATTR.size, os.SCHED_OTHER, flags, nice, 0, slice_ns, 0, 0)
-        ctypes.CDLL(None).syscall(number, 0, attributes, 0)
+        call(number, 0, attributes, 0)
+    return 1e-9 * before_ns
 
 
 class Child:

@@ -168,8 +168,12 @@ class System(Protocol):
             SettingsError: The real-time priority is refused.
         """
 
-    def hurry(self) -> None:
-        """Let the calling thread run soon after it wakes, without more processor time than its share."""
+    def hurry(self) -> Callable[[], None]:
+        """Let the calling thread run soon after it wakes, without more processor time than its share.
+
+        Returns:
+            Function that undoes it, for the same thread.
+        """
 
     def garbage(self) -> GarbageCollector:
         """Return the garbage collector of a program that moves two arms."""
@@ -314,9 +318,14 @@ class LocalSystem:
             np.seterr(all="ignore")
         hasten(rt_priority, SLICE_S if sends else LONGER_SLICE_S)
 
-    def hurry(self) -> None:
+    def hurry(self) -> Callable[[], None]:
         """See `System`."""
-        shorten_slice(inherited=False)
+        before_s = shorten_slice(inherited=False)
+
+        def relax() -> None:
+            shorten_slice(before_s, inherited=False)
+
+        return relax
 
     def garbage(self) -> GarbageCollector:
         """See `System`."""

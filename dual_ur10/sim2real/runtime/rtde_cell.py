@@ -135,9 +135,13 @@ class RtdeCell:
         self._tracker: ObjectTracker | None = None
         self._placer: ObjectPlacer | None = None
         self._garbage = system.garbage()
-        self._garbage.collect()  # before any thread waits for an answer: in a large program it takes half a second
-        system.hurry()  # this program owes actions in time, also while a training fills the machine
-        self._runner: Runner | None = self._connected(coupled)
+        self._relax = system.hurry()  # this program owes actions in time, also while a training fills the machine
+        try:
+            self._garbage.collect()  # before any thread waits for an answer: in a large program it takes half a second
+            self._runner: Runner | None = self._connected(coupled)
+        except BaseException:
+            self._let_go()
+            raise
         self._end = weakref.finalize(self, self._runner.close)
         try:
             self._equip()
@@ -336,10 +340,15 @@ class RtdeCell:
             self._runner.close()  # after an interrupt it is called again
             self._end.detach()
             self._runner = None
-            self._garbage.release()
+            self._let_go()
         for each in (self._grippers, self._tracker, self._placer):
             if each is not None:
                 each.close()
+
+    def _let_go(self) -> None:
+        """Leave the program as it was before this cell was made."""
+        self._garbage.release()
+        self._relax()
 
     @property
     def memory_names(self) -> tuple[str, str]:

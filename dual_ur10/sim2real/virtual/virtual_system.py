@@ -220,8 +220,9 @@ class VirtualSystem:
                 "emulated cell"
             )
 
-    def hurry(self) -> None:
+    def hurry(self) -> Callable[[], None]:
         """Do nothing: a virtual process runs whenever it is due."""
+        return lambda: None
 
     def garbage(self) -> GarbageCollector:
         """See `System`."""

@@ -334,14 +334,25 @@ def test_a_process_with_deadlines_gets_the_priority_it_asks_for() -> None:
         assert of_session in ([str(NICE)], [])
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="time slices are Linux's")
-def test_a_program_that_owes_actions_keeps_its_niceness():
-    program = HASTENED.replace("hasten()", "shorten_slice(inherited=False)").replace("hasten\n", "shorten_slice\n")
+def hurried(calls: str) -> tuple[int, int]:
+    """Return niceness and time slice of a program after calls of the system."""
+    program = HASTENED.replace("hasten()", f"from dual_ur10.sim2real.processes.system import LOCAL; {calls}")
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     nice, slice_ns = run.stdout.split()[:2]
-    assert int(nice) == os.getpriority(os.PRIO_PROCESS, 0)
+    return int(nice), int(slice_ns)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="time slices are Linux's")
+def test_a_program_that_owes_actions_keeps_its_niceness():
+    nice, slice_ns = hurried("LOCAL.hurry()")
+    assert nice == os.getpriority(os.PRIO_PROCESS, 0)
     if LINUX >= (6, 12):
-        assert int(slice_ns) == round(1e9 * LONGER_SLICE_S)
+        assert slice_ns == round(1e9 * LONGER_SLICE_S)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="time slices are Linux's")
+def test_a_program_that_owes_no_more_actions_is_scheduled_as_before():
+    assert hurried("LOCAL.hurry()()") == hurried("pass")
 
 
 @pytest.mark.skipif(not SESSION_GROUP, reason="this system groups no processes by session")

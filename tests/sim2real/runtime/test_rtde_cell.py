@@ -1,5 +1,6 @@
 """Environments on two controllers of a virtual cell: spaces, confirmation and refusals."""
 
+import gc
 import pickle
 
 import gymnasium as gym
@@ -19,6 +20,7 @@ from dual_ur10.errors import (
     UnknownNameError,
 )
 from dual_ur10.sim2real.config.cell_file import CellFile
+from dual_ur10.sim2real.processes.garbage import GarbageCollector
 from dual_ur10.sim2real.runtime.approach import Approach, Rates
 from dual_ur10.testing import VirtualCell
 from tests.parity import handed_over
@@ -102,6 +104,23 @@ def test_spaces_and_first_observation_equal_the_simulation(bench):
     start = bench.core.task.start(np.arange(1), [np.random.default_rng(0)])
     assert np.abs(info["q_rad"] - start.q_rad[0]).max() < 0.02
     assert (np.abs(found - expected) < 0.02).mean() > 0.85
+
+
+@pytest.mark.parametrize("fails", [True, False])
+def test_the_program_is_as_before_when_its_cell_is_gone(bench, monkeypatch, fails):
+    system, hurried = bench.cell.system, []
+    monkeypatch.setattr(system, "garbage", GarbageCollector, raising=False)
+    monkeypatch.setattr(system, "hurry", lambda: (hurried.append(True), lambda: hurried.append(False))[1])
+    if fails:
+        bench.cell.latch.set("somebody stepped in")
+        with pytest.raises(CellFaulted):
+            bench.make()
+    else:
+        bench.make()
+        assert gc.get_freeze_count() > 0
+        bench.close_env()
+    assert gc.get_freeze_count() == 0
+    assert hurried == [True, False]
 
 
 def test_make_moves_nothing_and_reset_asks_before_it_does(bench):

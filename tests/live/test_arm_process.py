@@ -50,7 +50,7 @@ def test_a_killed_process_stops_the_other_arm(pair):
     pair.cell.wait_until("left", "runtime_state", 1)
     assert pair.arms[1].process.wait(20.0)
     assert pair.memories[1].phase == Phase.STOPPED
-    assert "the process of the left arm no longer responds" in pair.memories[1].text
+    assert "the process of the left arm has ended" in pair.memories[1].text
     assert_rests_on_path(pair, 1)
     pair.stand()
 

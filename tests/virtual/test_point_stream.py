@@ -3,6 +3,7 @@
 import importlib
 import pathlib
 import random
+import re
 
 import numpy as np
 import pytest
@@ -33,6 +34,7 @@ from tests.soak import scaled
 FOLDER = pathlib.Path(__file__).parents[2] / "benchmarks"
 TICK_S = 0.008
 ARMS = ("left", "right")
+BUSY = "this machine is too busy to move arms in real time"
 
 
 @pytest.fixture
@@ -215,7 +217,7 @@ def replaced(cell):
         (silence, "no point came in time"),
         (protective, "PROTECTIVE_STOP"),
         (lost, "right"),
-        (mute, "silent"),
+        (mute, "the controller's clock has stalled"),
         (slider, "scaled to 50 %"),
         (replaced, "program"),
     ],
@@ -230,6 +232,34 @@ def test_a_fault_of_either_arm_stops_both_and_is_latched(cell, fault, words, mod
     assert words in cell.fault
     with pytest.raises(CellFaulted, match=r"call `\.clear\(\)` of the virtual cell"):
         stream(cell)
+
+
+@pytest.mark.parametrize("kind", ["emulated", "real"])
+def test_a_stall_of_this_program_is_one_of_this_machine(cell, kind):
+    """Also with real controllers: this program knows how late it was with a point."""
+    object.__setattr__(cell.file, "kind", kind)
+    with pytest.raises(
+        CellFaulted, match=rf"{BUSY} \(no point came in time.*; this program was 1\d\d\d ms late with one"
+    ):
+        follow(cell, 1.2, silence(cell), duration_s=4.0, confirm=lambda question: True)
+    assert BUSY in cell.fault
+
+
+@pytest.mark.parametrize("kind", ["emulated", "real"])
+def test_a_stall_of_a_controller_is_one_of_its_network_or_of_this_machine(cell, kind):
+    object.__setattr__(cell.file, "kind", kind)
+    with pytest.raises(CellFaulted, match="the controller's clock has stalled"):
+        follow(cell, 1.2, mute(cell), duration_s=4.0, confirm=lambda question: True)
+    assert (BUSY in cell.fault, "look at its network" in cell.fault) == (kind == "emulated", kind == "real")
+
+
+def test_points_that_a_link_delays_name_the_link_and_this_machine(cell):
+    def slow():
+        cell.ask("link", arm="left", port="rtde", delay_s=0.3)
+
+    with pytest.raises(CellFaulted) as found:
+        follow(cell, 1.2, slow, duration_s=4.0)
+    assert re.search(r"left: .*(check the link, and with `uptime`|too busy)", str(found.value))
 
 
 def test_a_stop_leaves_a_black_box(cell):

@@ -103,9 +103,10 @@ class ArmProcess:
             self._clock.sleep(0.005)
         if self.memory.phase == Phase.READY:
             return
-        text = (
-            self.memory.text or f"{self.connection.name}: no connection to {self.connection.host} within {within_s:g} s"
-        )
+        found = f"no connection to {self.connection.host} within {within_s:g} s"
+        if not self.process.is_alive:
+            found = f"its process has ended with code {self.process.code} before it was ready"
+        text = self.memory.text or f"{self.connection.name}: {found}"
         self.process.kill()
         raise LinkError(text)
 

@@ -15,10 +15,10 @@ from dual_ur10.sim2real.control.servoj import ServojProfile
 from dual_ur10.sim2real.links.arm_status import ArmStatus, program_ended, stop_reason
 from dual_ur10.sim2real.links.controller_clock import ControllerClock, DriftCompensation
 from dual_ur10.sim2real.links.rtde_link import RtdeLink
+from dual_ur10.sim2real.processes.machine_load import StallWatch, too_busy
 from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
-from dual_ur10.sim2real.runtime.machine_load import StallWatch, too_busy
 from dual_ur10.sim2real.runtime.stop_ramp import StopRamp
 from dual_ur10.sim2real.runtime.tracking import Following
 from dual_ur10.types import Array
@@ -143,6 +143,7 @@ class ArmSender:
         self.memory, self.cell, self.others = memory, cell, others
         self._parent, self._supervised = parent, supervised
         self._other_name = next(each for each in ARMS if each != name)
+        self._other_process = f"the process of the {self._other_name} arm"
         self.clock = ControllerClock(servoj.tick_s, round_trip_s)
         self._leader = leader
         self._following = Following(servoj)
@@ -344,15 +345,18 @@ class ArmSender:
                 raise StopError(f"{_OTHER}: {other.text}")
             limit_s = STALE_S if sends or phase == Phase.STREAMING else WAITING_S
             if phase in (Phase.READY, Phase.STREAMING) and now - other.beat_s > limit_s:
-                text = f"the process of the {self._other_name} arm no longer responds"
-                raise StopError(self._stalls.process_silent(text, runs=self._system.is_running(other.process)))
+                runs = self._system.is_running(other.process)
+                raise StopError(self._stalls.process_silent(self._other_process, runs=runs))
             if sends and phase < Phase.STREAMING and now - self.cell.begin_s > STALE_S:
                 raise StopError(too_busy(f"the {self._other_name} arm does not begin"))
         if self._parent is not None and self._system.is_orphan(self._parent):
             raise StopError("the program that sends targets has ended")
         if self._supervised and sends and now - self.cell.supervisor_beat_s > STALE_S:
+            ended = not all(self._system.is_running(other.process) for other in self.others)
+            if ended:  # that is the cause of more than a supervisor that does not respond
+                raise StopError(self._stalls.process_silent(self._other_process, runs=False))
             runs = self._system.is_running(self.cell.supervisor)
-            raise StopError(self._stalls.process_silent("the supervisor no longer responds", runs=runs))
+            raise StopError(self._stalls.process_silent("the supervisor", runs=runs))
 
     def _stop(self, reason: str, *, on_path: bool) -> None:
         """Stop the arm and end its program.

@@ -165,7 +165,9 @@ class PointStream(ProgrammedArms):
             )
         if not self._confirm(f"Both arms follow a path of {path.duration_s:.1f} s from where they are."):
             raise StartError("the motion was not confirmed: nothing has moved")
-        motion = StreamMotion(self._arms, path, self.profile, self._clock, feedback)
+        motion = StreamMotion(
+            self._arms, path, self.profile, self._clock, feedback, emulated=self._file.kind == "emulated"
+        )
         self._lock.note_moving()
         try:
             for arm in self._arms:

@@ -30,9 +30,9 @@ from dual_ur10.sim2real.links.arm_status import ArmStatus
 from dual_ur10.sim2real.peripherals.grippers import Grippers
 from dual_ur10.sim2real.peripherals.object_placer import ObjectPlacer, placer_of
 from dual_ur10.sim2real.peripherals.object_tracker import Flanges, ObjectTracker, tracker_of
+from dual_ur10.sim2real.processes.machine_load import is_too_busy
 from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.runtime.approach import Approach, Rates, plan
-from dual_ur10.sim2real.runtime.machine_load import is_too_busy
 from dual_ur10.sim2real.runtime.mirror_model import MirrorModel
 from dual_ur10.sim2real.runtime.path_to_start import AHEAD_TICKS, PathToStart, StalledError
 from dual_ur10.sim2real.runtime.runner import SHOWN_STATES, Runner, margin_ticks

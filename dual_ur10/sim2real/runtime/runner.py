@@ -21,13 +21,13 @@ from dual_ur10.sim2real.control.time_scaling import TimeScaling
 from dual_ur10.sim2real.links.arm_status import ArmStatus, stop_reason
 from dual_ur10.sim2real.links.link_socket import NO_ANSWER
 from dual_ur10.sim2real.processes.interrupts import interrupts_deferred
+from dual_ur10.sim2real.processes.machine_load import StallWatch, is_too_busy, too_busy
 from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_process import ArmConnection, ArmProcess
 from dual_ur10.sim2real.runtime.arm_sender import STALE_S, root_cause, was_requested
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
 from dual_ur10.sim2real.runtime.latch import CellLock, Latch
-from dual_ur10.sim2real.runtime.machine_load import is_too_busy, too_busy
 from dual_ur10.sim2real.runtime.safety_monitor import MonitorSettings
 from dual_ur10.sim2real.runtime.supervisor import SupervisorProcess
 from dual_ur10.types import Array
@@ -88,6 +88,7 @@ class Runner:
             self._lock.release(in_order=False)
             raise
         self.margin_ticks = margin_ticks(self.tick_s)
+        self._stalls = StallWatch(file.kind == "emulated")
         self._fault = ""
         self._noted = True  # False if a fault could not be latched
         self._closed = False
@@ -193,7 +194,9 @@ class Runner:
             fastest = max(map(abs, status.qd_rad_s))
             age_s = self._age_s(status)
             if reason is None and not age_s < STALE_S:
-                reason = f"its process no longer responds: its newest state is {1e3 * age_s:.0f} ms old"
+                runs = self.processes[ARMS.index(name)].process.is_alive
+                more = f": its newest state is {1e3 * age_s:.0f} ms old"
+                reason = self._stalls.process_silent("its process", runs=runs, more=more)
             if reason is None and not fastest < REST_RAD_S:
                 reason = f"it moves at {fastest:.3f} rad/s, allowed are {REST_RAD_S:g}: wait until it rests"
             if reason is not None:
@@ -282,7 +285,7 @@ class Runner:
         if self._closed or self.cell.ending or os.getpid() != self._pid:
             raise ClosedError("this cell was closed, or belongs to another process: make a new one")
         if self.begun and not self._fault and self.clock.now_s() - self.cell.supervisor_beat_s > _SUPERVISOR_S:
-            self.cell.enter_fault("the supervisor no longer responds")
+            self.cell.enter_fault(self._stalls.process_silent("the supervisor", runs=self._is_supervised()))
         if not self._fault and (self.cell.fault or any(memory.phase >= Phase.STOPPING for memory in self.arms)):
             self._fail()
         if self._fault and self._is_unmoved:

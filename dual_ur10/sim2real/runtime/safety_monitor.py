@@ -13,12 +13,12 @@ from dual_ur10.kinematics.frames import ArmMount, Frames
 from dual_ur10.kinematics.poses import Poses, length, relative_to, rotation_angle
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.links.arm_status import ArmStatus, program_ended, stop_reason
+from dual_ur10.sim2real.processes.machine_load import StallWatch, too_busy
 from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.protocol.modes import RuntimeState, SafetyMode
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_sender import STALE_S, WAITING_S, root_cause
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
-from dual_ur10.sim2real.runtime.machine_load import StallWatch, too_busy
 from dual_ur10.sim2real.runtime.tracking import Tracking
 from dual_ur10.types import Array
 
@@ -111,9 +111,12 @@ class SafetyMonitor:
         playing = memory.phase == Phase.STREAMING
         reason = stop_reason(status, allow_reduced=self._cell.allow_reduced, playing=playing)
         if reason is not None and program_ended(status):
-            if self._system.is_running(memory.process):  # its watchdog may be first to miss a process that stalls
+            # Its watchdog may be first to miss a process that stalls or has ended.
+            if self._system.is_running(memory.process):
                 self.stalls.note(status.arrival_s - memory.beat_s, status.arrival_s)
-            reason = self.stalls.explained(reason, status.arrival_s)
+                reason = self.stalls.explained(reason, status.arrival_s)
+            elif memory.process and memory.phase < Phase.STOPPING:
+                reason = self.stalls.process_silent("its process", runs=False)
         reason = reason or self._tracking[arm](status)
         if reason is not None:
             return f"{ARMS[arm]}: {reason}"
@@ -132,7 +135,7 @@ class SafetyMonitor:
                 STALE_S if begun or phase == Phase.STREAMING else WAITING_S
             ):
                 runs = self._system.is_running(memory.process)
-                silent.append(f"{name}: {self.stalls.process_silent('its process no longer responds', runs=runs)}")
+                silent.append(f"{name}: {self.stalls.process_silent('its process', runs=runs)}")
             elif begun and phase < Phase.STREAMING:
                 texts.append(f"{name}: {too_busy('it does not begin')}")
         if silent or texts:

@@ -12,6 +12,7 @@ from dual_ur10.errors import LinkError
 from dual_ur10.sim2real.control.link_profiles import LinkProfile
 from dual_ur10.sim2real.links.arm_status import ArmStatus, stop_reason
 from dual_ur10.sim2real.processes.clock import Clock
+from dual_ur10.sim2real.processes.machine_load import SHORT_S, StallWatch, too_busy
 from dual_ur10.sim2real.protocol.modes import RuntimeState
 from dual_ur10.sim2real.runtime.program_link import ProgramLink, stop_programs
 from dual_ur10.sim2real.runtime.stream_script import (
@@ -60,7 +61,10 @@ class StreamMotion:
         profile: LinkProfile,
         clock: Clock,
         feedback: Callable[[Progress], None] | None,
+        *,
+        emulated: bool = False,
     ) -> None:
+        self._stalls = StallWatch(emulated)
         self._arms, self._clock, self._feedback = arms, clock, feedback
         self._moves = profile.mode == "movej"
         self._interval_s = path.interval_s
@@ -69,6 +73,8 @@ class StreamMotion:
         self._q = np.concatenate([path.q_rad[:1], path.q_rad])
         self._qd = np.concatenate([path.qd_rad_s[:1], path.qd_rad_s])
         self._begin_s = math.inf
+        self._late_s = 0.0  # of this program, with the last point
+        self._next_s = math.inf  # time at which the next one is due
         self._count = [arm.link.count for arm in arms]
 
     @property
@@ -91,19 +97,21 @@ class StreamMotion:
             arm.values["command"] = Command.RUN
             arm.send()
         while True:
+            self._next_s = self._due_s(number + 1)
             if canceled():
                 stop_programs(self._arms, self._clock)
                 return False
             if self._poll():
                 return True
             now_s = self._clock.now_s()
-            due_s = self._due_s(number + 1)
-            if now_s >= due_s:
+            if now_s >= self._next_s:
                 number += 1
+                self._late_s = now_s - self._next_s
                 self._steer()
                 self._put(number)
                 continue
-            self._clock.wait([arm.link.fileno() for arm in self._arms], min(due_s, now_s + self._interval_s))
+            until_s = min(self._next_s, now_s + self._interval_s)
+            self._clock.wait([arm.link.fileno() for arm in self._arms], until_s)
 
     def _due_s(self, number: int) -> float:
         """Return the time at which a point is sent: in the middle of the interval before the one that ends with it."""
@@ -136,6 +144,16 @@ class StreamMotion:
                 arm.values["shift"] += late_s
             arm.values["rate"] = NOMINAL_RATE + min(max(_GAIN_1_S * late_s, -RATE_BAND / 2), RATE_BAND / 2)
 
+    def _starved(self, found: str, now_s: float) -> str:
+        """Return the text about a point that did not come in time."""
+        late_s = max(self._late_s, now_s - self._next_s)
+        if late_s > SHORT_S:
+            return too_busy(f"{found}; this program was {1e3 * late_s:.0f} ms late with one")
+        reason = self._stalls.explained(found, now_s)
+        return (
+            f"{reason}: check the link, and with `uptime` what else runs on this machine" if reason == found else reason
+        )
+
     def _poll(self) -> bool:
         """Read the states of both arms; return True once both have finished.
 
@@ -146,12 +164,16 @@ class StreamMotion:
         for number, arm in enumerate(self._arms):
             arm.poll()
             sample, now_s = arm.link.latest, self._clock.now_s()
-            if sample is None or arm.link.age_s(now_s) > self._interval_s + _STALE_S:
-                raise LinkError(f"{arm.name}: its controller has fallen silent: check the link")
+            age_s = arm.link.age_s(now_s)
+            if sample is None or age_s > self._interval_s + _STALE_S:
+                raise LinkError(f"{arm.name}: {self._stalls.controller_silent(age_s)}")
             values: Any = sample.values
             state = values[STATE]
             status = ArmStatus.from_sample(sample)
+            self._stalls.packet(number, sample.timestamp_s, sample.arrival_s)
             reason = stop_reason(status, playing=state < State.FINISHED) or REASONS.get(state) or slowed(status)
+            if state == State.STARVED:
+                reason = self._starved(REASONS[state], now_s)
             if values[TOKEN] != arm.token:
                 reason = "another program runs on its controller"
             if reason is not None:

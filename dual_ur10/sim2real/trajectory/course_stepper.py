@@ -14,6 +14,7 @@ from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import HISTORY
 from dual_ur10.sim2real.control.proximity import ProximityScaling
+from dual_ur10.sim2real.processes.machine_load import too_busy
 from dual_ur10.sim2real.trajectory.course import Course, Rate
 from dual_ur10.sim2real.trajectory.interpolation import Motion
 from dual_ur10.sim2real.trajectory.path_check import TargetLaw, reason_of, rehearse
@@ -150,8 +151,8 @@ class CourseStepper:
         if step.stopped_q_rad is not None:  # late; without a goal that ends a pause
             self.brakes = False
             self._rest_at(step.stopped_q_rad[0])
-            text = "this program missed the deadline of a period, and both arms stopped: it was too busy"
-            return Departure("late", text)
+            found = "this program missed the deadline of a period, and both arms stopped"
+            return Departure("late", too_busy(found))
         self.in_time = True
         if self.brakes and self.gate.rests[0]:
             self.brakes = False

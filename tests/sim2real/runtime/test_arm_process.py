@@ -157,7 +157,7 @@ def test_a_killed_process_stops_the_other_arm(pair):
     pair.cell.wait_until("left", "runtime_state", 1)
     assert pair.arms[1].process.wait(20.0)
     assert pair.memories[1].phase == Phase.STOPPED
-    assert "the process of the left arm no longer responds" in pair.memories[1].text
+    assert "the process of the left arm has ended" in pair.memories[1].text
     assert_rests_on_path(pair, 1)
     pair.stand()
 
@@ -258,6 +258,18 @@ def test_an_arm_that_cannot_be_reached_is_named(cell):
         with pytest.raises(LinkError, match=r"left.*127\.250\.250\.250"):
             arm.wait_until_ready(30.0)
         assert arm.process.wait(5.0)
+    finally:
+        memory.close()
+        shared.close()
+
+
+def test_a_process_that_is_killed_while_it_connects_is_no_slow_network(cell):
+    memory, shared = ArmMemory(), CellMemory()
+    try:
+        arm = ArmProcess(ArmConnection("left", cell.left, SERVOJ), memory, shared, system=cell.system)
+        arm.process.kill()
+        with pytest.raises(LinkError, match=r"left: its process has ended with code -9 before it was ready"):
+            arm.wait_until_ready(30.0)
     finally:
         memory.close()
         shared.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 
 import numpy as np
 import pytest
@@ -13,10 +14,10 @@ from dual_ur10.kinematics.frames import ArmMount, Frames
 from dual_ur10.kinematics.inverse import try_nearest
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply, quat_to_matrix, rotate
 from dual_ur10.sim2real.control.time_scaling import TimeScaling
+from dual_ur10.sim2real.processes.machine_load import too_busy
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_sender import STALE_S, WAITING_S
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
-from dual_ur10.sim2real.runtime.machine_load import too_busy
 from dual_ur10.sim2real.runtime.safety_monitor import (
     APART_M,
     APART_RAD,
@@ -350,12 +351,14 @@ def test_an_arm_that_stops_without_a_reason(parts):
 
 @pytest.mark.parametrize("arm", [0, 1])
 @pytest.mark.parametrize(("phase", "most_s"), [(Phase.STREAMING, STALE_S), (Phase.READY, WAITING_S)])
-def test_a_process_that_no_longer_responds_stops_both(parts, arm, phase, most_s):
+@pytest.mark.parametrize(("pid", "what"), [(os.getpid(), "no longer responds"), (2**22 + 1, "has ended")])
+def test_a_process_that_no_longer_responds_stops_both(parts, arm, phase, most_s, pid, what):
     monitor = watch(parts, phase=phase)
+    parts[0][arm].note_process(pid)  # the second number is beyond those of Linux
     parts[0][1 - arm].beat(10.0 + most_s)
     parts[0][arm].beat(10.0)
     assert monitor.processes(10.0 + 0.99 * most_s) is None
-    assert monitor.processes(10.0 + 1.01 * most_s) == f"{ARM[arm]}: its process no longer responds"
+    assert monitor.processes(10.0 + 1.01 * most_s) == f"{ARM[arm]}: its process {what}"
 
 
 def test_a_process_may_connect_slowly(parts):

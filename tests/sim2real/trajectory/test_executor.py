@@ -8,6 +8,7 @@ import pytest
 
 from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.errors import ClosedError, SettingsError, StartError, TrajectoryError
+from dual_ur10.sim2real.processes.machine_load import too_busy
 from dual_ur10.sim2real.trajectory.goal import GoalState, TrajectoryGoal
 from dual_ur10.sim2real.trajectory.interpolation import Interpolation
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, ResultCode
@@ -185,7 +186,9 @@ def test_a_missed_deadline_aborts_the_goal_and_a_pause_between_goals_does_not():
     handle = executor.execute(wave(amplitude=0.1))
     steps(executor, 30)
     executor.cell.pauses = 1
-    assert handle.wait().reason == "late"
+    late = handle.wait()
+    assert late.reason == "late"
+    assert late.text == too_busy("this program missed the deadline of a period, and both arms stopped")
     executor.cell.pauses = 2
     result = executor.execute(wave(start=executor.desired_q_rad, amplitude=-0.1)).wait()
     assert result.succeeded

@@ -1,5 +1,7 @@
 """Faults of this machine and its processes: rows 54 to 57 and 59 of the fault table in docs/explanation/safety.md."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -72,7 +74,21 @@ def test_11_a_process_that_is_killed_stops_both(lab, who):
     lab.cell.end(who)
     error = lab.step_until_faulted()
     assert BUSY not in str(error)
+    assert re.search(rf"{who}.* has ended", str(error))
     lab.assert_stopped(error, who, seen_ticks=SILENT_TICKS)
+
+
+@pytest.mark.parametrize("for_s", [0.3, 3.0])
+def test_11_a_process_that_is_killed_is_the_cause_while_the_supervisor_stands_still(lab, for_s):
+    lab.begin()
+    lab.cell.stall("supervisor", for_s)
+    lab.clock.sleep(0.02)  # so that the supervisor is the first that is missed
+    lab.note()
+    lab.cell.end("right")
+    error = lab.step_until_faulted()
+    assert re.search("right: its process has ended|the process of the right arm has ended", str(error))
+    assert BUSY not in str(error)
+    lab.assert_stopped(error, "right", seen_ticks=SILENT_TICKS)
 
 
 def test_56_a_machine_sends_nothing_when_it_wakes(lab, monkeypatch):

@@ -76,15 +76,19 @@ class StallWatch:
         found = f"the controller's clock has stalled for {1e3 * age_s:.0f} ms"
         return too_busy(found) if self._emulated else f"{found}; look at its network"
 
-    def process_silent(self, found: str, *, runs: bool) -> str:
+    def process_silent(self, process: str, *, runs: bool, more: str = "") -> str:
         """Return the text about a process that does not respond.
 
         Args:
-            found: Observation.
-            runs: The process still exists: nothing but this machine keeps it from responding. On real controllers the
-                network may do so.
+            process: Name of it, such as "the supervisor".
+            runs: It still exists: nothing but this machine keeps it from responding. On real controllers the network
+                may do so. One that has ended is no sign of a busy machine.
+            more: Further observation.
         """
-        return too_busy(found) if self._emulated and runs else found
+        if not runs:
+            return f"{process} has ended"
+        found = f"{process} no longer responds{more}"
+        return too_busy(found) if self._emulated else found
 
     def explained(self, reason: str, now_s: float) -> str:
         """Return the reason of a stop; on an emulated cell after a stall, the text about that."""

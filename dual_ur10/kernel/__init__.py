@@ -130,8 +130,9 @@ def _layout(name: str) -> tuple[type[ctypes.Structure], tuple[tuple[str, str, tu
 class Struct:
     """One of the kernel's structures, with the arrays that it points to.
 
-    Arrays are shared: the kernel reads and writes the caller's own. They must never be replaced, only written to. A
-    pickled structure is built anew with its arrays, which stay shared with other parts of the same pickle.
+    Arrays are shared: the kernel reads and writes the caller's own. They must never be replaced, only written to; a
+    test holds that for this package. A pickled structure is built anew with its arrays, which stay shared with other
+    parts of the same pickle.
 
     Args:
         name: Name of the structure.
@@ -241,10 +242,27 @@ class Constants:
 
     def __init__(self, values: Array) -> None:
         self._values: Array = np.array(values, dtype=np.float64, order="C")
+        self.size: Final = self._values.size
         self.address: Final[int] = int(self._values.ctypes.data)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Constants, (self._values,)
+
+
+@cache
+def _sizes(name: str, count: int) -> tuple[tuple[int, int, tuple[tuple[int, str], ...]], ...]:
+    """Return position, constant factor, and positions and fields of further factors, of each array of a function."""
+    describe = getattr(library(), f"{name}_sizes")
+    describe.restype = ctypes.c_char_p
+    texts, arrays = describe().decode().split(), []
+    if len(texts) != count:
+        raise KernelError(f"{name} takes {len(texts)} arguments, found {count}")
+    for at, text in enumerate(texts):
+        if text != "-":
+            numbers = [int(each) for each in text.split("*") if each.isdigit()]
+            others = [each[1:].partition(".") for each in text.split("*") if not each.isdigit()]
+            arrays.append((at, prod(numbers), tuple((int(other), field) for other, _, field in others)))
+    return tuple(arrays)
 
 
 def call(name: str, *arguments: Array | Struct | Constants | int) -> None:
@@ -253,9 +271,22 @@ def call(name: str, *arguments: Array | Struct | Constants | int) -> None:
     Looking up an array's address takes longer than most of the kernel's work: give few of them.
 
     Raises:
-        KernelError: An array is not a C-contiguous one of float64.
+        KernelError: An array is not a C-contiguous one of float64, or has another size than the function takes.
     """
-    function(name, len(arguments))(*map(_number, arguments))
+    addresses = [*map(_number, arguments)]
+    for at, size, factors in _sizes(name, len(arguments)):
+        for other, field in factors:
+            size *= addresses[other] if not field else _field(arguments[other], field)
+        found = getattr(arguments[at], "size", None)
+        if found != size:
+            raise KernelError(f"argument {at} of {name} must have {size} values, found {found}")
+    function(name, len(arguments))(*addresses)
+
+
+def _field(struct: Array | Struct | Constants | int, name: str) -> int:
+    if not isinstance(struct, Struct):
+        raise KernelError(f"a structure with the field {name} is needed, found {struct!r:.50}")
+    return int(struct.values[name])
 
 
 def _number(argument: Array | Struct | Constants | int) -> int:

@@ -68,6 +68,7 @@ double measured(const Clearance& c, const Body* placed, int64_t pair) {
 }  // namespace
 
 // Distances above the smallest legal ones, (pairs,), at a configuration (12,); beyond the cutoff a lower bound.
+SIZES(clearance_spare, "- 12 $0.pairs")
 EXPORT void clearance_spare(const void* context, const double* q, double* spare) {
     const Clearance& c = *static_cast<const Clearance*>(context);
     const Placed placed(c.geoms);
@@ -77,6 +78,7 @@ EXPORT void clearance_spare(const void* context, const double* q, double* spare)
 }
 
 // Distances, those beyond the cutoff as the cutoff, and the smallest legal ones, (n, pairs), at (n, 12).
+SIZES(clearance_distances, "- 12*$4 $0.pairs*$4 $0.pairs*$4 -")
 EXPORT void clearance_distances(const Clearance* c, const double* q, double* distances, double* legal, int64_t n) {
     const Placed placed(c->geoms);
     for (int64_t row = 0; row < n; ++row) {
@@ -93,6 +95,7 @@ EXPORT void clearance_distances(const Clearance* c, const double* q, double* dis
 //
 // Up to the first fraction no pair comes nearer than its margin, or, where it began nearer, than it was before: at every
 // measured configuration, and from one to the next within the tolerance. At the second one all pairs keep their margins.
+SIZES(clear_fractions, "- 24*$5 $0.pairs $0.pairs 2*$5 -")
 EXPORT void clear_fractions(const Distances* d, const double* paths, const double* margin, const double* tolerance,
                             double* fractions, int64_t n) {
     constexpr double rounding = 1e-6;

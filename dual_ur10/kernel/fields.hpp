@@ -29,4 +29,10 @@
         return FIELDS(DESCRIBE_INT, DESCRIBE_REAL, DESCRIBE_INTS, DESCRIBE_REALS, DESCRIBE_LINK, DESCRIBE_FUNCTION);   \
     }
 
+// Sizes of a function's arguments, in their order: a number of values for an array, "-" for all else. Factors are numbers,
+// the positions of other arguments as $0, $1, and fields of a structure there as $0.pairs. `dual_ur10.kernel.call` checks
+// them.
+#define SIZES(function, sizes)                                                                                         \
+    EXPORT const char* function##_sizes() { return sizes; }
+
 #define EXPORT extern "C" __attribute__((visibility("default")))

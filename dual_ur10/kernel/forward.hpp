@@ -32,6 +32,7 @@ void write(const Rotation& r, double* rows) {
 }  // namespace
 
 // Flange poses of a chain (6, 13). A row of `block` (n, 18) gives joint angles and takes position and rotation.
+SIZES(forward_pose, "78 18*$2 -")
 EXPORT void forward_pose(const double* links, double* block, int64_t n) {
     for (int64_t row = 0; row < n; ++row) {
         double* here = block + 18 * row;
@@ -44,6 +45,7 @@ EXPORT void forward_pose(const double* links, double* block, int64_t n) {
 }
 
 // The same, and behind them geometric Jacobians (6, 6): three rows of m/s, then three of rad/s. `block` is (n, 54).
+SIZES(forward_jacobian, "78 54*$2 -")
 EXPORT void forward_jacobian(const double* links, double* block, int64_t n) {
     for (int64_t row = 0; row < n; ++row) {
         double* here = block + 54 * row;
@@ -62,6 +64,7 @@ EXPORT void forward_jacobian(const double* links, double* block, int64_t n) {
 
 // Points of arms with exactly parallel and perpendicular axes; `arm` holds lengths and tool centre point. A row of `block`
 // (n, 15) gives joint angles and takes elbow, flange and tool centre point.
+SIZES(forward_points, "9 15*$2 -")
 EXPORT void forward_points(const double* arm, double* block, int64_t n) {
     for (int64_t row = 0; row < n; ++row) {
         double* here = block + 15 * row;

@@ -120,6 +120,7 @@ double check(const double* limits, double* row) {
 }  // namespace
 
 // Check rows of `block`, (n, 19): position, rotation and reference; the last number takes the result of `check`.
+SIZES(inverse_check, "7 19*$2 -")
 EXPORT void inverse_check(const double* limits, double* block, int64_t n) {
     for (int64_t row = 0; row < n; ++row) block[19 * row + 18] = check(limits, block + 19 * row);
 }
@@ -128,6 +129,7 @@ EXPORT void inverse_check(const double* limits, double* block, int64_t n) {
 // theta offsets and the tolerance at the edge. A row of `block` (n, 75) gives position, rotation and reference, and takes
 // angles (8, 6), not wrapped, cosines of theta3 (8,), and the square of the wrist centre's distance from the base axis
 // less that of d4.
+SIZES(inverse_branches, "13 75*$2 -")
 EXPORT void inverse_branches(const double* arm, double* block, int64_t n) {
     for (int64_t row = 0; row < n; ++row) {
         double* here = block + 75 * row;
@@ -143,6 +145,7 @@ EXPORT void inverse_branches(const double* arm, double* block, int64_t n) {
 
 // The branch nearest to the reference. A row of `block` (n, 25) gives position, rotation and reference, and takes angles
 // (6,), the reference where none is in reach, and 1 if one is; or the result of `check` for a row that is not solved.
+SIZES(inverse_nearest, "13 7 25*$3 -")
 EXPORT void inverse_nearest(const double* arm, const double* limits, double* block, int64_t n) {
     const double edge = arm[12];
     for (int64_t row = 0; row < n; ++row) {
@@ -159,6 +162,7 @@ EXPORT void inverse_nearest(const double* arm, const double* limits, double* blo
 }
 
 // The same of given solutions (n, count, 6), of which those with a 1 in `valid` (n, count) count.
+SIZES(inverse_nearest_of, "6*$6*$7 $6*$7 6*$7 7 6*$7 $7 - -")
 EXPORT void inverse_nearest_of(const double* solutions, const double* valid, const double* reference,
                                const double* range, double* q, double* reached, int64_t count, int64_t n) {
     for (int64_t row = 0; row < n; ++row) {

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import ast
 import copy
 import ctypes
 import importlib.util
 import pickle
+import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -70,6 +74,77 @@ def test_an_array_that_does_not_fit_is_refused(levers: object, found: str) -> No
 def test_a_function_takes_only_contiguous_numbers(array: np.ndarray) -> None:
     with pytest.raises(KernelError, match="contiguous float64 arrays, found"):
         kernel.call("clearance_spare", 0, array, np.zeros(1))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "found"),
+    [
+        ((np.zeros(78), np.zeros((3, 18)), 4), "argument 1 of forward_pose must have 72 values, found 54"),
+        ((np.zeros(77), np.zeros((3, 18)), 3), "argument 0 of forward_pose must have 78 values, found 77"),
+        ((np.zeros(78), 3, 3), "argument 1 of forward_pose must have 54 values, found None"),
+        ((np.zeros(78), np.zeros((3, 18))), "forward_pose takes 3 arguments, found 2"),
+    ],
+)
+def test_a_function_takes_only_arrays_of_its_sizes(arguments: tuple[Any, ...], found: str) -> None:
+    with pytest.raises(KernelError, match=found):
+        kernel.call("forward_pose", *arguments)
+
+
+def test_sizes_come_from_fields_of_structures() -> None:
+    struct, path, each = kernel.Struct("Distances", **fitting()), np.zeros(24), np.zeros(2)
+    with pytest.raises(KernelError, match="argument 3 of clear_fractions must have 2 values, found 3"):
+        kernel.call("clear_fractions", struct, path, each, np.zeros(3), each, 1)
+    with pytest.raises(KernelError, match="a structure with the field pairs is needed, found 0"):
+        kernel.call("clear_fractions", 0, path, each, each, each, 1)
+
+
+def test_every_function_of_arrays_declares_their_sizes() -> None:
+    """Those that take a structure and its rows get the sizes from that."""
+    sources = "\n".join(path.read_text() for path in sorted(kernel.FOLDER.glob("*.?pp")))
+    functions = dict(re.findall(r"^EXPORT \w+ (\w+)\(([^)]*)\)", sources, re.MULTILINE))
+    taking = {name for name, arguments in functions.items() if "double*" in arguments}
+    declared = dict(re.findall(r'^SIZES\((\w+), "([^"]*)"\)', sources, re.MULTILINE))
+    assert set(declared) == taking
+    for name, sizes in declared.items():
+        kinds = ["double*" in each for each in functions[name].split(",")]
+        assert [each != "-" for each in sizes.split()] == kinds, name
+
+
+def test_no_array_of_a_structure_is_replaced() -> None:
+    """The kernel would go on with the former one. Whoever replaces an array makes the structure anew."""
+    for path in sorted((ROOT / "dual_ur10").rglob("*.py")):
+        for owner in ast.walk(ast.parse(path.read_text())):
+            if not isinstance(owner, ast.ClassDef):
+                continue
+            functions = [each for each in owner.body if isinstance(each, ast.FunctionDef)]
+            for making in functions:
+                shared = set(_given_to_structures(making))
+                for function in functions:
+                    later = function is not making and function.name != "__init__"
+                    replaced = shared.intersection(_assigned(function)) if later else set()
+                    assert not replaced, f"{path.name}: {owner.name}.{function.name} replaces {replaced}"
+
+
+def _given_to_structures(function: ast.FunctionDef) -> Iterator[str]:
+    for node in ast.walk(function):
+        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Struct":
+            yield from (name for each in node.keywords if each.arg for name in _own(each.value))
+
+
+def _assigned(function: ast.FunctionDef) -> Iterator[str]:
+    for node in ast.walk(function):
+        targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+        if isinstance(node, ast.Assign | ast.AnnAssign):
+            yield from (name for target in targets for name in _own(target))
+
+
+def _own(node: ast.AST | None) -> Iterator[str]:
+    """Names of the attributes of `self` that an expression is, or has as elements."""
+    if isinstance(node, ast.Tuple):
+        for each in node.elts:
+            yield from _own(each)
+    elif isinstance(node, ast.Attribute) and getattr(node.value, "id", "") == "self":
+        yield node.attr
 
 
 def test_counters_are_read_written_and_exchanged() -> None:

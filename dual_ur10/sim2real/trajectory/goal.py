@@ -174,7 +174,8 @@ class Feedback(NamedTuple):
 
     Attributes:
         time_s: Time on the executor's clock.
-        path_s: Time on the trajectory.
+        path_s: Time on the trajectory that the measured positions show. Arms that follow their commands later show
+            nothing of the goal at first: until then it is the time of its beginning.
         scaling: Rate of the trajectory's time.
         desired_q_rad: (arms, 6) positions on the path.
         actual_q_rad: (arms, 6) measured positions.

@@ -390,12 +390,16 @@ def test_a_start_in_the_past_has_a_code_of_its_own():
     assert result.code == ResultCode.OLD_HEADER_TIMESTAMP
 
 
-def test_a_deferred_start_waits_for_its_time():
-    executor = made()
+@LATENCIES
+def test_a_deferred_start_waits_for_its_time_and_counts_from_it(latency_ticks):
+    """Feedback of arms that follow later counts from the begin until they show the motion; the motion does not wait."""
+    executor = made(latency_ticks)
     handle = executor.execute(TrajectoryGoal(wave(), start_s=0.5))
     steps(executor, 30)
     assert handle.state == GoalState.PENDING
-    assert handle.wait().time_s == pytest.approx(2.5, abs=0.05)
+    steps(executor, 10)
+    assert executor.stepper.course.path_s(executor.time_s) == pytest.approx(executor.time_s - 0.5, abs=1e-12)
+    assert handle.wait().time_s == pytest.approx(2.5, abs=0.1)
 
 
 def test_an_arm_that_moves_must_be_in_the_goal_that_replaces_its():

@@ -1,14 +1,18 @@
 """Goals on two emulated controllers on a virtual clock: the whole runner below the executor."""
 
 import logging
+import math
 
 import numpy as np
 import pytest
 
 from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.envs import make_follower
+from dual_ur10.envs.core.follower import LEAD_S
 from dual_ur10.errors import StartError
 from dual_ur10.sim2real.recording.reader import read_run
+from dual_ur10.sim2real.runtime.arm_sender import MOST_LATE_S
+from dual_ur10.sim2real.runtime.runner import MARGIN_S, SHOWN_STATES
 from dual_ur10.sim2real.trajectory import GoalState, ResultCode, TrajectoryGoal
 from dual_ur10.sim2real.trajectory.repeatability import UR10_M, returns, spread_of
 from dual_ur10.testing import VirtualCell
@@ -114,6 +118,52 @@ def test_a_violated_tolerance_stops_both_arms_and_is_no_fault(virtual_cell, exec
     steps(handle, 125)
     assert np.abs(executor.measured_q_rad - rest).max() < 0.01
     assert not virtual_cell.fault
+
+
+families = pytest.mark.parametrize(
+    "virtual_cell",
+    [{"plant": "nominal"}, {"plant": "nominal", "family": "e-series"}],
+    indirect=True,
+    ids=["cb3", "e-series"],
+)
+
+
+@families
+def test_a_stall_shorter_than_the_lead_costs_a_known_motion_nothing(virtual_cell, executor):
+    """A motion that is known ahead is written ahead. A policy owes each action by its own deadline."""
+    law = executor.law
+    stall_s = LEAD_S - MARGIN_S - law.period_s - (1 + SHOWN_STATES) * law.tick_s
+    handle = executor.execute(TrajectoryGoal(wave(2.0), path_tolerance_rad=1e-3))
+    for _ in range(4):
+        steps(handle, round(0.25 / law.period_s))
+        virtual_cell.clock.sleep(stall_s)
+    result = handle.wait()
+    assert result.succeeded, result.text
+    assert result.largest_error_rad.max() < 1e-4  # each state is compared with the path of its own time
+    assert not virtual_cell.fault
+
+
+@families
+def test_a_cancel_leaves_what_is_written_and_stops_the_arms_after_it(executor):
+    law, runner = executor.law, executor.cell.runner
+    handle = executor.execute(wave(2.0, amplitude=0.3))
+    steps(handle, round(0.7 / law.period_s))
+    course, cancelled_s = executor.stepper.course, executor.time_s
+    sent = [memory.sent_count for memory in runner.arms]
+    handle.cancel()
+    assert handle.wait().reason == "cancelled"
+    assert np.abs(executor.stepper.measured_qd_rad_s).max() < 0.01
+    around = math.ceil(2 * LEAD_S / law.period_s)
+    wanted = law.windows(course, cancelled_s - around * law.period_s, 2 * around).reshape(-1, 2, 6)
+    for arm, memory in enumerate(runner.arms):
+        rows = memory.sent(sent[arm])[0].target_rad
+        apart = np.array([np.abs(wanted[:, arm] - row).max(axis=1).min() for row in rows])
+        first = int(np.flatnonzero(apart > 1e-6)[0])  # the first that is none of the former course's
+        assert LEAD_S / 2 <= first * law.tick_s <= LEAD_S + law.period_s + law.tick_s
+
+
+def test_the_lead_is_what_the_arms_survive():
+    assert LEAD_S == MOST_LATE_S
 
 
 @nominal

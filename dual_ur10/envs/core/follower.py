@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from dual_ur10.assets.settings import Equipment, home_q_rad
@@ -25,6 +26,14 @@ from dual_ur10.types import Array
 
 TICKS = 2
 """Targets per period: after so many ticks at most, a violated tolerance is noticed."""
+
+LEAD_S = 0.1
+"""Time by which targets are written ahead of two controllers: a stall of this program that is a little shorter costs
+nothing. A longer one of this machine stops the arms anyway: it is the senders' `MOST_LATE_S`.
+
+What is written is executed: a cancel, a violated tolerance, another goal and a scaling take effect after it. Stops by
+the arms' processes and the supervisor do not wait.
+"""
 
 
 def home_of(cell: object = "mujoco") -> Array:
@@ -64,13 +73,16 @@ def make_follower(
     clearance = Clearance(config.measured_scene, minimum_m=config.minimum_clearance_m, uncertainty=config.uncertainty)
     law = TargetLaw.of(config.servoj, ticks, config.speed_factor, config.measured_lookahead_s)
     gate = SafetyGate(limits, law.tick_s, ticks, clearance)
-    made, close = _cell(cell, config, gate, clearance, arm, confirm)
+    latency_ticks = config.latency_ticks
+    if config.file is not None:
+        latency_ticks = max(latency_ticks, math.ceil(LEAD_S / law.tick_s * config.speed_factor - 1e-9))
+    made, close = _cell(cell, config, gate, clearance, arm, confirm, latency_ticks)
     executor = TrajectoryExecutor(
         made,
         gate,
         law,
         clearance,
-        latency_ticks=config.latency_ticks,
+        latency_ticks=latency_ticks,
         dh=[mount.dh for mount in (config.left, config.right)],
         proximity=None if config.file is None else ProximityScaling(clearance, law.period_s),
         on_close=close,
@@ -82,7 +94,13 @@ def make_follower(
 
 
 def _cell(
-    cell: object, config: CellConfig, gate: SafetyGate, clearance: Clearance, arm: str | None, confirm: Confirm | None
+    cell: object,
+    config: CellConfig,
+    gate: SafetyGate,
+    clearance: Clearance,
+    arm: str | None,
+    confirm: Confirm | None,
+    latency_ticks: int,
 ) -> tuple[Cell, Callable[[], None] | None]:
     """Return the cell, and how to end the black box that each cell of two controllers has."""
     if config.state_is_commanded:
@@ -97,7 +115,7 @@ def _cell(
         gate.ticks,
         limits=gate.limits,
         clearance=clearance,
-        latency_ticks=config.latency_ticks,
+        latency_ticks=latency_ticks,
         confirm=confirm,
         only=arm,
         system=cell.system if isinstance(cell, HostedCell) else LOCAL,
@@ -107,7 +125,7 @@ def _cell(
         {},
         config,
         period_ticks=gate.ticks,
-        latency_ticks=config.latency_ticks,
+        latency_ticks=latency_ticks,
         source=config.kind,
         speed_factor=config.speed_factor,
         cell_file=config.file.text(),

@@ -19,7 +19,7 @@ RING: Final = 4096
 """Number of targets, packets and states kept: half a minute at 125 Hz, eight seconds at 500 Hz."""
 
 _TEXT: Final = 1024
-_RECENT: Final = 32  # newest targets and states in which one is searched
+_RECENT: Final = 128  # newest targets and states in which one is searched: a quarter of a second at 500 Hz
 _RETRIES: Final = 5  # of a read that a write interrupts
 _END, _SENT, _PHASE, _STOP, _SKIPPED, _STATES, _PROCESS = range(7)
 _BEAT_S, _FIRST_S = range(2)

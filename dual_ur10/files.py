@@ -1,4 +1,4 @@
-"""Reading of regular files, and atomic writing."""
+"""Reading of regular files, and atomic and durable writing."""
 
 from __future__ import annotations
 
@@ -84,3 +84,16 @@ def write_text(path: str | Path, text: str) -> None:
         raise DualUR10Error(f"cannot write {path}: {error}") from error
     finally:
         part.unlink(missing_ok=True)
+
+
+def sync_folder(folder: Path) -> None:
+    """Make new names in a folder survive a power cut.
+
+    Raises:
+        OSError: The disk reports an error.
+    """
+    number = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.fsync(number)
+    finally:
+        os.close(number)

@@ -33,6 +33,7 @@ from dual_ur10.assets.settings import Equipment
 from dual_ur10.envs.core.options import EnvOptions
 from dual_ur10.envs.core.randomization import PRESETS, resolve_randomization
 from dual_ur10.errors import CheckpointError
+from dual_ur10.files import sync_folder
 from dual_ur10.ids import __version__, env_id_of
 from dual_ur10.policies.learned import schema
 from dual_ur10.policies.learned.learned_policy import LearnedPolicy
@@ -86,10 +87,10 @@ def save(folder: str | os.PathLike[str], networks: Networks, manifest: Manifest)
     try:
         _write(part / WEIGHTS, weights)
         _write(part / MANIFEST, text)
-        _sync(part)
+        sync_folder(part)
         # Fails if something else is there by now; only an empty folder is replaced.
         os.rename(part, path)
-        _sync(path.parent)
+        sync_folder(path.parent)
     except OSError as error:
         raise CheckpointError(
             f"cannot write {path}: {_reason(error)}. Whatever was saved before is unchanged"
@@ -204,15 +205,6 @@ def _write(path: Path, content: bytes) -> None:
         file.write(content)
         file.flush()
         os.fsync(file.fileno())
-
-
-def _sync(folder: Path) -> None:
-    """Make new names in a folder survive a power cut."""
-    number = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(number)
-    finally:
-        os.close(number)
 
 
 def _reason(error: OSError) -> str:

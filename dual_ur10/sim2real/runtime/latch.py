@@ -1,4 +1,4 @@
-"""Files that outlive a program: faults that no person has cleared, and the lock of each arm."""
+"""Files that outlive a program, also a power cut: faults that no person has cleared, and the lock of each arm."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import IO, Final
 
 from dual_ur10.errors import CellBusyError, CellFaulted, SettingsError
+from dual_ur10.files import sync_folder
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.processes.system import LOCAL, System
@@ -88,17 +89,22 @@ class Latch:
 
     def __init__(self, cell: CellFile, system: System = LOCAL) -> None:
         self._cell, self._system = cell, system
-        folder = system.state_folder()
-        self._paths = [folder / f"fault-{key}.json" for key in _keys(cell)]
+        self._folder = system.state_folder()
+        self._paths = [self._folder / f"fault-{key}.json" for key in _keys(cell)]
 
     def set(self, text: str) -> None:
-        """Note a fault of both arms. An earlier one is kept."""
+        """Note a fault of both arms. An earlier one is kept. Returns once it is on the disk.
+
+        Raises:
+            OSError: It cannot be written.
+        """
         note = json.dumps({"text": text, "when_utc": f"{self._system.clock.utc():%Y-%m-%d %H:%M:%S}"})
         for path in self._paths:
             with contextlib.suppress(FileExistsError):
                 handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o600)
                 with os.fdopen(handle, "w") as file:
-                    file.write(note + "\n")
+                    _write(file, note + "\n")
+        sync_folder(self._folder)
 
     def read(self) -> Fault | None:
         """Return the fault that nobody has cleared, or None. A note that cannot be read counts as a fault."""
@@ -196,7 +202,7 @@ class CellLock:
         _write(file, f"{os.getpid()} moving {key}\n" if moving else f"{os.getpid()}\n")
 
     def note_moving(self) -> None:
-        """Note that the arms move from now on, for the next program in case this one is killed.
+        """Note on the disk that the arms move from now on, for the next program in case this one is killed.
 
         Raises:
             SettingsError: The note cannot be written.
@@ -204,6 +210,7 @@ class CellLock:
         for file, key in zip(self._files, self._keys, strict=True):
             try:
                 _write(file, f"{os.getpid()} moving {key}\n")
+                sync_folder(self._folder)
             except OSError as error:
                 raise SettingsError(
                     f"cannot note in {self._folder} that arms move: {error}. Make room there"
@@ -229,7 +236,9 @@ class CellLock:
 
 
 def _write(file: IO[str], text: str) -> None:
+    """Replace a file's content, on the disk. The old text is cut off last: an interruption keeps its note."""
     file.seek(0)
-    file.truncate()
     file.write(text)
     file.flush()
+    file.truncate()
+    os.fsync(file.fileno())

@@ -81,15 +81,12 @@ class StopEnforcer:
         """True while an arm may still stop by itself."""
         return bool(self._pending)
 
-    def poll(self, ended: Sequence[bool]) -> float:
+    def poll(self, ended: Sequence[bool]) -> None:
         """Enforce the stop of arms that are overdue or whose process hangs, as `ur_rtde` may: it must not continue.
 
         Args:
             ended: Flags of both programs that have ended. A paused program, as after a protective stop, is ended by the
                 dashboard: it could continue to its last target.
-
-        Returns:
-            Time since `begin`, s.
         """
         now = self._system.clock.now_s()
         passed = now - self._begun_s
@@ -109,7 +106,6 @@ class StopEnforcer:
             elif phase == Phase.FAULTED or hangs or passed > STOPPED_S:
                 self._pending.discard(arm)
                 self._end(arm)
-        return passed
 
     def close(self) -> None:
         """Wait for the dashboards' answers."""

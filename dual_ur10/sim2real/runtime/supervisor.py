@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import math
 from collections.abc import Sequence
 from typing import Final
 
@@ -187,19 +186,29 @@ class Supervisor:
         self._enforcer.begin()
         self._cell.enter_fault(self._gone() or reason)
         reason = self._cell.fault  # another process may have been first
-        self._wait_for_stop(STALE_S)  # a slow disk must not delay the end of a process that hangs
-        try:
-            # Else a start failed, which its caller reports.
-            if self._cell.begin_s or (self._ready and not is_too_busy(reason)):
-                Latch(self._file, self._system).set(reason)
-        finally:
-            self._wait_for_stop()
-            self._enforcer.close()
-            log.error("both arms were stopped: %s", reason)
+        latching = None
+        # Else a start failed, which its caller reports.
+        if self._cell.begin_s or (self._ready and not is_too_busy(reason)):
+            # In a thread: a slow disk must not delay the end of a process that hangs.
+            latching = self._system.thread(lambda: self._latch(reason), "latch")
+        self._wait_for_stop()
+        self._enforcer.close()
+        if latching is not None:
+            latching.join()
+        log.error("both arms were stopped: %s", reason)
 
-    def _wait_for_stop(self, within_s: float = math.inf) -> None:
+    def _latch(self, reason: str) -> None:
+        try:
+            Latch(self._file, self._system).set(reason)
+        except OSError as error:  # the lock keeps its note of moving arms
+            log.error("the stop of both arms cannot be latched: %s", error)
+
+    def _wait_for_stop(self) -> None:
         """Wait for the end of both programs, and enforce it."""
-        while self._enforcer.poll(self._monitor.ended) <= within_s and self._enforcer.waits:
+        while True:
+            self._enforcer.poll(self._monitor.ended)
+            if not self._enforcer.waits:
+                return
             self._cell.note_supervisor(self._clock.now_s())
             self._clock.sleep(self._settings.tick_s / 4)
             for arm, link in enumerate(self._links):

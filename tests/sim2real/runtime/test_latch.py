@@ -106,6 +106,37 @@ def test_a_fault_outlives_the_program_that_notes_it(cell, tmp_path):
         Latch(cell).check()
 
 
+@pytest.fixture
+def synced(monkeypatch):
+    """Return what `os.fsync` puts on the disk: the content of a file, or the names in a folder."""
+    found, fsync = {}, os.fsync
+
+    def noted(number):
+        path = Path(f"/proc/self/fd/{number}").resolve()
+        found[path.name] = sorted(each.name for each in path.iterdir()) if path.is_dir() else path.read_text()
+        fsync(number)
+
+    monkeypatch.setattr(os, "fsync", noted)
+    return found
+
+
+def test_a_fault_survives_a_power_cut(cell, synced):
+    Latch(cell).set("stopped")
+    names = ["fault-127.0.0.2.json", "fault-127.0.0.3.json"]
+    assert synced["dual_ur10"] == names
+    assert [json.loads(synced[name])["text"] for name in names] == ["stopped"] * 2
+
+
+def test_the_note_of_moving_arms_survives_a_power_cut(cell, synced):
+    lock = CellLock(cell)
+    lock.note_moving()
+    names = ["lock-127.0.0.2", "lock-127.0.0.3"]
+    assert synced["dual_ur10"] == names
+    assert [synced[name] for name in names] == [f"{os.getpid()} moving {name[5:]}\n" for name in names]
+    lock.release()
+    assert [synced[name] for name in names] == [f"{os.getpid()}\n"] * 2
+
+
 def test_the_first_fault_stays(cell):
     Latch(cell).set("first")
     Latch(cell).set("second")

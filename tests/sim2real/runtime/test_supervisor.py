@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 import time
 import types
 
@@ -135,7 +136,7 @@ def test_a_failed_start_is_not_latched(parts, begun, ready):
     file, _, cell = parts
     made = supervisor(parts)
     made._enforcer = types.SimpleNamespace(
-        begin=lambda: None, poll=lambda ended: 0.0, waits=False, close=lambda: None, unended=[]
+        begin=lambda: None, poll=lambda ended: None, waits=False, close=lambda: None, unended=[]
     )
     made._ready = ready
     if begun:
@@ -143,3 +144,30 @@ def test_a_failed_start_is_not_latched(parts, begun, ready):
     made._stop("right: takes no control script")
     assert (Latch(file).read() is not None) == (begun or ready)
     assert cell.fault == "right: takes no control script"
+
+
+def test_a_slow_disk_does_not_delay_the_end_of_a_process_that_hangs(parts, monkeypatch):
+    enforced, found = threading.Event(), []
+    monkeypatch.setattr(Latch, "set", lambda self, text: found.append((text, enforced.wait(10.0))))
+    made = supervisor(parts)
+    made._enforcer = types.SimpleNamespace(
+        begin=lambda: None, poll=lambda ended: enforced.set(), waits=False, close=lambda: None, unended=[]
+    )
+    parts[2].begin(time.monotonic())
+    made._stop("left: a reason")
+    assert found == [("left: a reason", True)]
+
+
+def test_a_stop_that_cannot_be_latched_is_logged(parts, monkeypatch, caplog):
+    def full(self, text):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Latch, "set", full)
+    made = supervisor(parts)
+    made._enforcer = types.SimpleNamespace(
+        begin=lambda: None, poll=lambda ended: None, waits=False, close=lambda: None, unended=[]
+    )
+    parts[2].begin(time.monotonic())
+    made._stop("left: a reason")
+    assert "cannot be latched: [Errno 28]" in caplog.text
+    assert "both arms were stopped: left: a reason" in caplog.text

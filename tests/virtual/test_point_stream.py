@@ -15,6 +15,8 @@ from dual_ur10.sim2real.control.link_profiles import profile_for
 from dual_ur10.sim2real.recording.black_box import BlackBox
 from dual_ur10.sim2real.recording.program_box import ProgramBox
 from dual_ur10.sim2real.recording.reader import read_run
+from dual_ur10.sim2real.runtime import program_link
+from dual_ur10.sim2real.runtime.latch import Latch
 from dual_ur10.sim2real.runtime.point_stream import PointStream
 from dual_ur10.sim2real.runtime.program_link import stop_programs
 from dual_ur10.sim2real.runtime.stream_script import (
@@ -335,6 +337,65 @@ def test_cancelling_at_any_instant_stops_both_arms_without_a_latch(cell):
         assert programs(cell) == [1, 1]
         assert rests(cell)
         assert not cell.fault
+
+
+def test_a_cancel_whose_effect_is_not_seen_is_latched(cell):
+    points = stream(cell)
+    path = points.thin(swing(points.measured(), duration_s=4.0))
+    until_s = cell.now_s + 2.0
+
+    def canceled():
+        if cell.now_s < until_s:
+            return False
+        cell.ask("link", arm="left", port="rtde", mute=True)
+        return True
+
+    with points, pytest.raises(CellFaulted, match="left: it did not report the end of its program"):
+        points.run(path, canceled=canceled)
+    cell.ask("heal", arm="left")
+    assert rests(cell)  # the dashboard has stopped it
+    assert cell.fault.startswith("left: it did not report")
+
+
+def mark(cell):
+    """Return what the locks note of motion."""
+    folder = cell.system.state_folder()
+    return [path.read_text().split()[1:2] for path in sorted(folder.glob("lock-*"))]
+
+
+def test_the_mark_of_moving_arms_stays_where_a_stop_cannot_be_latched(cell, monkeypatch, caplog):
+    def full(self, text):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Latch, "set", full)
+        with pytest.raises(CellFaulted, match="PROTECTIVE_STOP"):
+            follow(cell, 1.2, protective(cell))
+        assert "cannot be latched: [Errno 28]" in caplog.text
+        assert mark(cell) == [["moving"]] * 2
+        with pytest.raises(OSError, match="No space"):
+            stream(cell)
+    assert mark(cell) == [["moving"]] * 2
+    with pytest.raises(CellFaulted, match="without stopping"):
+        stream(cell)
+
+
+def test_the_mark_of_moving_arms_stays_after_a_second_interrupt(cell, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(program_link, "stop_programs", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        follow(cell, 1.2, interrupt)
+    assert mark(cell) == [["moving"]] * 2
+    assert rests(cell)  # their programs starve
+    with pytest.raises(CellFaulted, match="without stopping"):
+        stream(cell)
+
+
+def test_arms_that_were_seen_to_stop_leave_no_mark(cell):
+    follow(cell, duration_s=1.0)
+    assert mark(cell) == [[]] * 2
 
 
 def test_delays_within_half_an_interval_cost_nothing(cell):

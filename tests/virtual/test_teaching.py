@@ -9,6 +9,7 @@ from dual_ur10.envs.core.follower import home_of
 from dual_ur10.errors import CellFaulted, StartError, TrajectoryError
 from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.recording.reader import read_run
+from dual_ur10.sim2real.runtime import program_link
 from dual_ur10.sim2real.runtime.freedrive_script import SILENCE_S, freedrive_script
 from dual_ur10.sim2real.runtime.hand_guiding import HandGuiding
 from dual_ur10.sim2real.runtime.program_link import stop_programs
@@ -273,6 +274,19 @@ def test_a_full_disk_ends_freedrive_in_order(cell):
         guiding.run(full)
     assert is_free(cell) == [False, False]
     assert not cell.fault
+
+
+def test_the_mark_of_moving_arms_stays_after_a_second_interrupt(cell, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(program_link, "stop_programs", interrupt)
+    with HandGuiding(cell.file, system=cell.system) as guiding, pytest.raises(KeyboardInterrupt):
+        guiding.run(interrupt)
+    cell.clock.sleep(SILENCE_S + STANDS_S)
+    assert is_free(cell) == [False, False]
+    with pytest.raises(CellFaulted, match="without stopping"):
+        HandGuiding(cell.file, system=cell.system)
 
 
 def _guide(file, *, system):

@@ -22,7 +22,7 @@ from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.links.arm_status import ArmStatus, stop_reason
 from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.runtime.freedrive_script import FREEDRIVE_REASONS, freedrive_script
-from dual_ur10.sim2real.runtime.program_link import Observer, ProgramLink, ProgrammedArms, stop_programs
+from dual_ur10.sim2real.runtime.program_link import Observer, ProgramLink, ProgrammedArms, check_ended
 from dual_ur10.sim2real.runtime.stream_script import STATE, TOKEN, Command, State
 from dual_ur10.types import Array
 
@@ -119,7 +119,7 @@ class HandGuiding(ProgrammedArms):
         if not self._confirm(self._question()):
             raise StartError("freedrive was not confirmed: no arm was free")
         self._measured()  # the answer may have taken minutes
-        self._lock.note_moving()
+        self._note_moving()
         begun = False
         try:
             token = round(1e3 * self._clock.now_s()) % 2**30
@@ -131,11 +131,13 @@ class HandGuiding(ProgrammedArms):
                 arm.send()
             while seen(self._next()):
                 pass
-            if not stop_programs(self._guided, self._clock):
-                raise LinkError("an arm did not report the end of freedrive")
+            check_ended(self._stop(self._guided))
         except (Exception, KeyboardInterrupt, SystemExit) as error:
-            stands = stop_programs(self._guided, self._clock)
-            if (isinstance(error, StartError) and not begun) or (stands and not isinstance(error, LinkError)):
+            unseen = self._stop(self._guided)
+            if isinstance(error, StartError) and not begun:
+                self._in_order = True  # a program that was not told to makes no arm free
+                raise
+            if not (unseen or isinstance(error, LinkError)):
                 raise
             faulted = self._latched(error)
             if not isinstance(error, DualUR10Error):

@@ -20,7 +20,7 @@ from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.control.link_profiles import LinkProfile
 from dual_ur10.sim2real.processes.system import LOCAL, System
-from dual_ur10.sim2real.runtime.program_link import Observer, ProgrammedArms, stop_programs
+from dual_ur10.sim2real.runtime.program_link import Observer, ProgrammedArms
 from dual_ur10.sim2real.runtime.stream_motion import Progress, StreamMotion, slowed
 from dual_ur10.sim2real.runtime.stream_script import NOMINAL_RATE, moves_script, points_script
 from dual_ur10.sim2real.trajectory.interpolation import Interpolation, Motion
@@ -144,7 +144,7 @@ class PointStream(ProgrammedArms):
 
         Args:
             path: The path, from where the arms are.
-            canceled: Called at each event; True stops both arms, and the method returns False.
+            canceled: Called at each event; True stops both arms, and the method returns False once both reported it.
             feedback: Called with each state of a moving arm.
 
         Raises:
@@ -168,15 +168,18 @@ class PointStream(ProgrammedArms):
         motion = StreamMotion(
             self._arms, path, self.profile, self._clock, feedback, emulated=self._file.kind == "emulated"
         )
-        self._lock.note_moving()
+        self._note_moving()
         try:
             for arm in self._arms:
                 self._token += 1
                 arm.upload(self._script(self._token), self._token)
-            return motion.run(canceled or (lambda: False))
+            reached = motion.run(canceled or (lambda: False))
+            self._in_order = True
+            return reached
         except (Exception, KeyboardInterrupt, SystemExit) as error:
-            stop_programs(self._arms, self._clock)
+            self._stop(self._arms)
             if isinstance(error, StartError) and not motion.begun:
+                self._in_order = True  # a program that was not told to move does not
                 raise
             faulted = self._latched(error)
             if not isinstance(error, DualUR10Error):

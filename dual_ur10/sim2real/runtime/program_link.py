@@ -7,6 +7,7 @@ program is to stop the other arm.
 from __future__ import annotations
 
 import contextlib
+import logging
 import struct
 from collections.abc import Callable, Sequence
 from typing import Any, Final, Protocol
@@ -41,6 +42,8 @@ from dual_ur10.sim2real.runtime.stream_script import (
     State,
 )
 from dual_ur10.types import Array, Closing
+
+log = logging.getLogger(__name__)
 
 CONNECT_S: Final = 6.0
 """Time limit of each connection with its requests, on a slow link."""
@@ -252,9 +255,11 @@ class ProgrammedArms(Closing):
         self._latch.check()
         self._arms: list[ProgramLink] = []
         self._lock = CellLock(file, system)
+        self._in_order = not self._lock.left_moving  # no arm moves, or its stop is latched
         with self.closed_on_error():
             if self._lock.left_moving:
                 self._latch.set("the program that moved the arms before ended without stopping them in order")
+                self._in_order = True
             self._latch.check()
             check(file, system, timeout_s=CONNECT_S, streams=False)
             for name, entry in zip(ARMS, file.arms, strict=True):
@@ -280,10 +285,33 @@ class ProgrammedArms(Closing):
             found.append(status.q_rad)
         return np.array(found)
 
+    def _note_moving(self) -> None:
+        """Note that arms move, until their stop was seen or is latched.
+
+        Raises:
+            SettingsError: The note cannot be written.
+        """
+        self._lock.note_moving()
+        self._in_order = False
+
+    def _stop(self, arms: Sequence[ProgramLink]) -> tuple[str, ...]:
+        """Stop the programs of arms, and return the names of those that did not report their end."""
+        unseen = stop_programs(arms, self._clock)
+        self._in_order = not unseen
+        return unseen
+
     def _latched(self, error: BaseException) -> CellFaulted:
-        """Latch the stop that an error was the reason of, and return the exception that reports it."""
+        """Latch the stop that an error was the reason of, and return the exception that reports it.
+
+        If that fails, the lock keeps its note of moving arms.
+        """
         reason = str(error) if isinstance(error, DualUR10Error) else f"the sending program ended: {error!r}"
-        self._latch.set(reason)
+        self._in_order = False
+        try:
+            self._latch.set(reason)
+            self._in_order = True
+        except OSError as failure:
+            log.error("both arms were stopped (%s), and the fault cannot be latched: %s", reason, failure)
         if self._observer is not None:
             self._observer.stopped(reason)
         return CellFaulted(
@@ -294,23 +322,33 @@ class ProgrammedArms(Closing):
         """Release both controllers. May be called twice."""
         for arm in self._arms:
             arm.close()
-        self._lock.release()
+        self._lock.release(in_order=self._in_order)
 
 
-def stop_programs(arms: Sequence[ProgramLink], clock: Clock) -> bool:
+def check_ended(unseen: Sequence[str]) -> None:
+    """Check the result of `stop_programs`.
+
+    Raises:
+        LinkError: An arm did not report the end of its program.
+    """
+    if unseen:
+        raise LinkError(f"{' and '.join(unseen)}: it did not report the end of its program, and may still move")
+
+
+def stop_programs(arms: Sequence[ProgramLink], clock: Clock) -> tuple[str, ...]:
     """Stop the programs of arms: by a register, and by the dashboard where one does not end soon.
 
     Returns:
-        True if each arm reported that its program has ended.
+        Names of the arms that did not report that their program has ended.
     """
-    pending, ended = [], True
+    pending, unseen = [], []
     for arm in arms:
         try:
             arm.values["command"] = Command.STOP
             arm.send()
             pending.append(arm)
         except DualUR10Error:
-            ended = _halt(arm)
+            unseen.append(_halt(arm))
     end_s = clock.now_s() + _STOP_S
     while pending:
         for arm in list(pending):
@@ -326,17 +364,17 @@ def stop_programs(arms: Sequence[ProgramLink], clock: Clock) -> bool:
                     raise LinkError("its program does not end")
             except DualUR10Error:
                 pending.remove(arm)
-                ended = _halt(arm)
+                unseen.append(_halt(arm))
         clock.sleep(_POLL_S)
-    return ended
+    return tuple(unseen)
 
 
-def _halt(arm: ProgramLink) -> bool:
+def _halt(arm: ProgramLink) -> str:
     """Have the dashboard stop the program. If that fails, the program ends by itself, as nothing more comes.
 
     Returns:
-        False: nothing shows that it has ended.
+        Name of the arm: nothing shows that its program has ended.
     """
     with contextlib.suppress(DualUR10Error):
         arm.dashboard.stop()
-    return False
+    return arm.name

@@ -14,7 +14,7 @@ from dual_ur10.sim2real.links.arm_status import ArmStatus, stop_reason
 from dual_ur10.sim2real.processes.clock import Clock
 from dual_ur10.sim2real.processes.machine_load import SHORT_S, StallWatch, too_busy
 from dual_ur10.sim2real.protocol.modes import RuntimeState
-from dual_ur10.sim2real.runtime.program_link import ProgramLink, stop_programs
+from dual_ur10.sim2real.runtime.program_link import ProgramLink, check_ended, stop_programs
 from dual_ur10.sim2real.runtime.stream_script import (
     MOVE_PART,
     NOMINAL_RATE,
@@ -83,7 +83,12 @@ class StreamMotion:
         return self._begin_s < math.inf
 
     def run(self, canceled: Callable[[], bool]) -> bool:
-        """Send all points; see `PointStream.run`."""
+        """Send all points; see `PointStream.run`.
+
+        Raises:
+            StartError: A program does not begin.
+            LinkError: An arm does not go on, or a stop on request was not seen.
+        """
         number = 0
         for arm in self._arms:
             arm.values["last"] = len(self._q)
@@ -99,7 +104,7 @@ class StreamMotion:
         while True:
             self._next_s = self._due_s(number + 1)
             if canceled():
-                stop_programs(self._arms, self._clock)
+                check_ended(stop_programs(self._arms, self._clock))
                 return False
             if self._poll():
                 return True

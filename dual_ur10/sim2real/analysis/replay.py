@@ -29,8 +29,9 @@ from dual_ur10.sim2real.config.cell_file import resolve_cell
 from dual_ur10.sim2real.recording.reader import file_of
 from dual_ur10.sim2real.recording.run import Episode, Run
 from dual_ur10.sim2real.recording.scan import open_regular
-from dual_ur10.sim2real.runtime.arm_sender import START_GAP_RAD
 from dual_ur10.types import Array
+
+_START_RAD: Final = 0.02  # largest distance of a start from that of the recording
 
 AWAY_RAD: Final = 0.02
 """Largest difference of targets from the recorded ones on another cell: beyond it, the replay ends.
@@ -243,11 +244,11 @@ def _play(
 ) -> Replay:
     start = np.array(info["q_rad"], dtype=np.float64)
     gap = np.abs(start - source.q_rad[0])
-    if gap.max() > START_GAP_RAD:
+    if gap.max() > _START_RAD:
         arm, joint = np.unravel_index(int(gap.argmax()), gap.shape)
         raise RecordingError(
             f"{ARMS[arm]}: {JOINTS[joint]} is {start[arm, joint]:.4f} rad at the start, and was "
-            f"{source.q_rad[0, arm, joint]:.4f} rad in the recording: {START_GAP_RAD} rad apart is the most. The "
+            f"{source.q_rad[0, arm, joint]:.4f} rad in the recording: {_START_RAD} rad apart is the most. The "
             "episode began elsewhere. Replay one that began with a seed"
         )
     joints, flanges, targets = [start], [np.array(info["flange_m"])], []

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.errors import CellFaulted, ClosedError, LinkError, StartError
-from dual_ur10.kinematics.ur10 import ARMS
+from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 from dual_ur10.sim2real.commissioning.doctor import check_file
 from dual_ur10.sim2real.commissioning.findings import REST_RAD_S, Finding
 from dual_ur10.sim2real.config.cell import CellConfig
@@ -25,7 +25,7 @@ from dual_ur10.sim2real.processes.machine_load import StallWatch, is_too_busy, t
 from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_process import ArmConnection, ArmProcess
-from dual_ur10.sim2real.runtime.arm_sender import STALE_S, root_cause, was_requested
+from dual_ur10.sim2real.runtime.arm_sender import STALE_S, START_GAP_RAD, root_cause, was_requested
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
 from dual_ur10.sim2real.runtime.latch import CellLock, Latch
 from dual_ur10.sim2real.runtime.safety_monitor import MonitorSettings
@@ -180,16 +180,19 @@ class Runner:
     # Targets.
 
     def begin(self, q_rad: Array) -> None:
-        """Start to send targets, beginning with the arms' current configuration, (2, 6).
+        """Start to send targets, beginning with the arms' current configuration.
+
+        Args:
+            q_rad: (2, 6) measured joint angles from which the motion was planned.
 
         Raises:
-            StartError: An arm is not ready, or moves.
+            StartError: An arm is not ready, moves, or has moved since.
         """
         end = self.clock.now_s() + _FRESH_S
         while self.clock.now_s() < end and any(self._age_s(each) > STALE_S for each in self.statuses()):
             self.check()
             self.clock.sleep(_POLL_S)  # nothing moves yet: a stall of this machine may pass
-        for name, status in zip(ARMS, self.statuses(), strict=True):
+        for name, status, planned in zip(ARMS, self.statuses(), q_rad, strict=True):
             reason = stop_reason(status, allow_reduced=self.cell.allow_reduced, playing=True)
             fastest = max(map(abs, status.qd_rad_s))
             age_s = self._age_s(status)
@@ -199,6 +202,13 @@ class Runner:
                 reason = self._stalls.process_silent("its process", runs=runs, more=more)
             if reason is None and not fastest < REST_RAD_S:
                 reason = f"it moves at {fastest:.3f} rad/s, allowed are {REST_RAD_S:g}: wait until it rests"
+            off = np.abs(np.subtract(status.q_rad, planned))
+            if reason is None and not off.max() <= START_GAP_RAD:
+                joint = int(off.argmax())
+                reason = (
+                    f"{JOINTS[joint]} is {off[joint]:.4f} rad from where it was when the motion was planned, allowed "
+                    f"are {START_GAP_RAD:g}: keep hands off, and reset again"
+                )
             if reason is not None:
                 raise StartError(f"{name} cannot begin: {reason}")
         self._lock.note_moving()

@@ -113,12 +113,35 @@ def test_44_a_slow_approach_needs_confirmation(lab):
         np.testing.assert_allclose(lab.ask(arm, "target_q")[0], home[arm], atol=1e-4)
 
 
-def test_44_a_first_target_away_from_the_arm_is_not_sent(lab):
+def moved(lab, arm, by_rad):
+    """Let an arm have been moved by hand, as far as its controller knows."""
+    told = joints(lab, arm)
+    told[3] += by_rad
+    lab.override(arm, actual_q=told.tolist(), target_q=told.tolist())
+    lab.clock.sleep(0.05)
+
+
+@pytest.mark.parametrize("by_rad", [0.0019, 0.0021])
+def test_44_an_arm_that_was_moved_before_the_answer_is_not_begun_with(lab, by_rad):
+    """Its motion was planned from where it was."""
+    lab.make(confirm=lambda question: moved(lab, "right", by_rad) or True)
+    if by_rad < 0.002:
+        lab.env.reset(seed=0)
+        return
+    with pytest.raises(StartError, match=r"right cannot begin: wrist_1_joint is 0\.0021 rad from where it was when"):
+        lab.env.reset(seed=0)
+    assert len(lab.executed("left")) == len(lab.executed("right")) == 0
+    assert lab.latch.read() is None
+    lab.make()
+    lab.env.reset(seed=0)  # planned anew
+
+
+def test_44_a_first_target_away_from_the_arm_is_not_sent(lab, monkeypatch):
     lab.make()
     there = np.array([joints(lab, arm) for arm in ARMS])
-    there[1, 3] += 0.021
-    before = lab.programs()
-    with pytest.raises(CellFaulted, match=r"right: a target is 0\.0210 rad from where the arm is at joint 3: allowed"):
+    before, note_moving = lab.programs(), lab.runner._lock.note_moving
+    monkeypatch.setattr(lab.runner._lock, "note_moving", lambda: note_moving() or moved(lab, "right", -0.0021))
+    with pytest.raises(CellFaulted, match=r"right: a target is 0\.0021 rad from where the arm is at joint 3: allowed"):
         lab.runner.begin(there)
     assert len(lab.executed("right")) == 0
     assert len(lab.executed("left")) <= 5  # where it stands

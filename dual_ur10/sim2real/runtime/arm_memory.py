@@ -21,7 +21,7 @@ RING: Final = 4096
 _TEXT: Final = 1024
 _RECENT: Final = 128  # newest targets and states in which one is searched: a quarter of a second at 500 Hz
 _RETRIES: Final = 5  # of a read that a write interrupts
-_END, _SENT, _PHASE, _STOP, _SKIPPED, _STATES, _PROCESS = range(7)
+_END, _SENT, _PHASE, _STOP, _SKIPPED, _STATES, _PROCESS, _DEAF = range(8)
 _BEAT_S, _FIRST_S = range(2)
 _LAYOUT: Final[Layout] = {
     "ints": (np.int64, (16,)),
@@ -146,6 +146,10 @@ class ArmMemory:
         _STATES_ROW.pack_into(self._states.data.cast("B"), count % RING * _STATES_ROW.size, *status.row())
         self._ints[_STATES] = count + 1
 
+    def note_deaf(self) -> None:
+        """Record that the controller takes no targets any more, also none of a ramp."""
+        self._ints[_DEAF] = 1
+
     def beat(self, now_s: float) -> None:
         """Record a sign of life of the process."""
         self._floats[_BEAT_S] = now_s
@@ -187,6 +191,11 @@ class ArmMemory:
     def process(self) -> int:
         """Process id; 0: it has not started yet."""
         return self._ints[_PROCESS]
+
+    @property
+    def deaf(self) -> bool:
+        """True once the controller was seen to take no targets any more."""
+        return bool(self._ints[_DEAF])
 
     @property
     def stop_requested(self) -> bool:

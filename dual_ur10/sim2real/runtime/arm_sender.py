@@ -252,8 +252,7 @@ class ArmSender:
         self._advance = (index - self._index) / max(period - self._period, 1) if self._sent is not None else 0.0
         if not self._check_and_send(target_rad, period, index):
             raise self._script_ended("its control script no longer takes targets")
-        tick_s = self.servoj.tick_s
-        self._following.sent(target_rad.tolist(), [abs(each) / tick_s for each in self._rate.tolist()])
+        self._following.sent(target_rad.tolist(), index)
 
     def _check_and_send(self, target_rad: Array, period: int, index: float) -> bool:
         """Check a target and send it; return False if it was not taken."""
@@ -323,6 +322,8 @@ class ArmSender:
                 if reason is not None and program_ended(status):
                     reason = self._stalls.explained(reason, now)
                 reason = reason or self._following(status)
+                if self._following.lost:
+                    self.memory.note_deaf()
                 if reason is not None:
                     # Before the state: the program must not act on it.
                     self.memory.enter(Phase.STOPPING, f"{self.name}: {reason}")

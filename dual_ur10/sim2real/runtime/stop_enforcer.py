@@ -41,6 +41,7 @@ class StopEnforcer:
         self._dashboards = [self._connect(arm) for arm in range(len(arms))]
         self._killers: list[Callable[[], None] | None] = [None for _ in arms]
         self._pending = set(range(len(arms)))
+        self._asked: set[int] = set()
         self._begun_s = 0.0
         self._requests: list[Thread] = []
         self.unended: list[str] = []
@@ -94,6 +95,8 @@ class StopEnforcer:
             memory = self._arms[arm]
             phase = memory.phase
             hangs = phase < Phase.STOPPING and now - memory.beat_s > STALE_S
+            if memory.deaf and arm not in self._asked:
+                self._request_stop(arm)  # at once: its process cannot stop it
             if phase == Phase.STOPPED and (ended[arm] or passed > STOPPED_S):
                 self._pending.discard(arm)
                 if not ended[arm]:
@@ -120,6 +123,7 @@ class StopEnforcer:
         self._request_stop(arm)
 
     def _request_stop(self, arm: int) -> None:
+        self._asked.add(arm)
         # A silent dashboard must not delay that of the other arm.
         self._requests.append(self._system.thread(lambda: self._send_stop(arm), f"{ARMS[arm]} stop"))
 

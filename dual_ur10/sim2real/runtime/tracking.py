@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import logging
 import math
+from collections import deque
 from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 
 from dual_ur10.errors import distinguishable
-from dual_ur10.kinematics.ur10 import JOINTS
+from dual_ur10.kinematics.ur10 import HARD_ACCELERATION_RAD_S2, JOINTS
 from dual_ur10.sim2real.control.servoj import ServojProfile
 from dual_ur10.sim2real.links.arm_status import ArmStatus
 from dual_ur10.types import Array
@@ -27,10 +28,17 @@ DEVIATION_RAD: Final = 0.1
 """Largest deviation of an arm from its controller's target: half of what Universal Robots' ROS 2 driver allows."""
 
 _ROWS: Final = 3  # consecutive states: a single one may lie between two updates
-_TRANSIT_S: Final = 0.08  # longest time from sending a target to its effect
-_SLACK_RAD: Final = 0.02
-_FORGETTING_S: Final = 0.4  # time constant with which the largest recent speed decays
+_TRANSIT_S: Final = 0.06  # longest time from sending a target to its effect
+_SLACK_RAD: Final = 0.005  # of a controller's target, besides overshoot
+_PATH_S: Final = 0.5  # of targets, before those of the lag, where a controller with a slow network may be
 
+_BETWEEN: Final = 8  # points of that path per target
+_NEXT: Final = 0.99  # numbers from one target to the next, but for drifting clocks
+
+_NOT_FOLLOWING: Final = (
+    "the controller does not follow; look at its network, and for another program that holds the arm"
+)
+_REPLACED: Final = "another program replaced the control script"
 
 _ALLOWED_RAD: Final = (DEVIATION_RAD,) * 6
 
@@ -76,33 +84,82 @@ class Tracking:
 class Following:
     """Deviation of a controller from the targets sent: a controller that takes no more targets keeps its connection.
 
+    `servoj` leads each joint between the targets that it got: to the newest, or behind it by no more than its lag. A
+    target of the controller outside the range of those sent within this time is none of ours. If it is near no point of
+    the last path at all, whatever the delay, another program commands the arm.
+
     Args:
-        servoj: Settings of `servoj`, from which its lag follows.
+        servoj: Settings of `servoj`, from whose law its lag and overshoot follow.
+
+    Attributes:
+        lost: True once the controller does not follow.
     """
 
     def __init__(self, servoj: ServojProfile) -> None:
-        self._behind_s = servoj.lookahead_s + _TRANSIT_S
-        self._forgetting = math.exp(-servoj.tick_s / _FORGETTING_S)
-        self._target: Sequence[float] | Array | None = None
-        self._speed = [0.0] * 6
+        lag_s, overshoot_rad = _lag_and_overshoot(servoj)
+        periods = math.ceil((lag_s + _TRANSIT_S) / servoj.tick_s)
+        self._slack_rad = _SLACK_RAD + overshoot_rad
+        self._allowed = (self._slack_rad,) * 6
+        self._recent: deque[Sequence[float]] = deque(maxlen=1 + periods)
+        self._path: deque[Sequence[float]] = deque(maxlen=1 + periods + math.ceil(_PATH_S / servoj.tick_s))
+        self._newest: Sequence[float] = ()
+        self._index = -math.inf  # of the last target in both
         self._tracking = Tracking()
-        self._deviation = Deviation(
-            "{joint} has a target {found} rad from the one sent, allowed are {allowed}: the controller does not follow"
-        )
+        self._deviation = Deviation("{joint} has a target {found} rad from those sent, allowed are {allowed}")
+        self.lost = False
 
-    def sent(self, target_rad: Sequence[float] | Array, speed_rad_s: Sequence[float] | Array) -> None:
-        """Record a target sent and its speed, six plain numbers each."""
-        self._target = target_rad
-        kept = self._forgetting
-        self._speed = [max(new, kept * old) for new, old in zip(speed_rad_s, self._speed, strict=True)]
+    def sent(self, target_rad: Sequence[float], index: float) -> None:
+        """Record a target sent, six plain numbers.
+
+        Args:
+            target_rad: The target.
+            index: Its number. A slider that slows numbers down lets a controller lag by as many of them, for longer.
+        """
+        self._newest = target_rad
+        if index - self._index > _NEXT:
+            self._index = index
+            self._recent.append(target_rad)
+            self._path.append(target_rad)
 
     def __call__(self, status: ArmStatus) -> str | None:
         """Return the reason why the arm must stop, or None."""
         reason = self._tracking(status)
-        if reason is not None or self._target is None:
+        if reason is not None or not self._recent:
             return reason
-        allowed = [speed * self._behind_s + _SLACK_RAD for speed in self._speed]
-        return self._deviation(_distances(self._target, status.target_q_rad), allowed)
+        target = status.target_q_rad
+        reason = self._deviation(_outside(target, list(zip(*self._recent, self._newest, strict=True))), self._allowed)
+        if reason is None:
+            return None
+        self.lost = True
+        return f"{reason}: {_REPLACED if self._is_off_path(target) else _NOT_FOLLOWING}"
+
+    def _is_off_path(self, target_rad: Sequence[float]) -> bool:
+        """Return True if a controller's target is near no point of the last path sent; False if it is no number."""
+        path = np.array([*self._path, self._newest])
+        share = np.arange(_BETWEEN)[:, None, None] / _BETWEEN
+        dense = np.concatenate([(path[:-1] + share * np.diff(path, axis=0)).reshape(-1, 6), path[-1:]])
+        return bool(np.abs(dense - target_rad).max(axis=1).min() > self._slack_rad)
+
+
+def _lag_and_overshoot(servoj: ServojProfile) -> tuple[float, float]:
+    """Return the longest lag of the servoj law, s, and its overshoot, rad.
+
+    The lag is the lookahead, or longer: until what is left of 1 rad/s, once targets rest, is within the slack. The
+    overshoot is twice that of a step, of the distance by which a joint is behind at the hard acceleration.
+    """
+    damping, frequency = servoj.damping, math.sqrt(servoj.gain)
+    slowest_s = 1.0 / (frequency * (damping - math.sqrt(max(damping**2 - 1.0, 0.0))))
+    lag_s = max(servoj.lookahead_s, slowest_s * math.log(servoj.lookahead_s / _SLACK_RAD))
+    part = math.exp(-math.pi * damping / math.sqrt(1.0 - damping**2)) if damping < 1.0 else 0.0
+    return lag_s, 2.0 * part * HARD_ACCELERATION_RAD_S2 / servoj.gain
+
+
+def _outside(target_rad: Sequence[float], sent_rad: Sequence[Sequence[float]]) -> list[float]:
+    """Return how far six joints are outside the range of the targets sent, (6, n); NaN stays NaN."""
+    return [
+        max(min(each) - joint, joint - max(each), 0.0) if math.isfinite(joint) else math.nan
+        for joint, each in zip(target_rad, sent_rad, strict=True)
+    ]
 
 
 def _distances(first: Sequence[float] | Array, second: Sequence[float]) -> list[float]:

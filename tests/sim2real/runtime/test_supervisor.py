@@ -130,6 +130,23 @@ def test_a_program_that_outlives_its_process_is_a_fault(parts, monkeypatch):
     assert STOPPED_S > 0.65  # the longest ramp
 
 
+@pytest.mark.parametrize("deaf", [False, True])
+def test_a_controller_that_takes_no_targets_is_stopped_at_once(parts, monkeypatch, deaf):
+    monkeypatch.setattr(stop_enforcer, "DashboardLink", Dashboard)
+    monkeypatch.setattr(Dashboard, "asked", 0)
+    enforcer = StopEnforcer(parts[1], ["127.0.0.2", "127.0.0.3"])
+    for memory in parts[1]:
+        memory.enter(Phase.STOPPING, "left: it does not follow")
+    if deaf:
+        parts[1][0].note_deaf()
+    enforcer.begin()
+    for _ in range(2):
+        enforcer.poll([False, False])
+    enforcer.close()
+    assert Dashboard.asked == deaf
+    assert enforcer.waits  # for the processes of both
+
+
 @pytest.mark.parametrize("begun", [False, True])
 @pytest.mark.parametrize("ready", [False, True])
 def test_a_failed_start_is_not_latched(parts, begun, ready):

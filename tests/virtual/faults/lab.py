@@ -21,6 +21,7 @@ _MOST_STEPS = 250
 _SEEN_TICKS = 3  # from a stop of one arm until both slow down, and packets in transit
 _FAST_RAD_S = 0.1
 _NOTED_S = 2.0
+_REST_RAD_S = 0.01
 _START = dict(zip((name for name, _ in ROW), np.cumsum([0, *(size for _, size in ROW)]).tolist(), strict=False))
 
 
@@ -66,6 +67,7 @@ class FaultLab:
         self.tick_s = self.file.config().servoj.tick_s
         self.wires = [self.wire(self.cell, arm) for arm in ARMS]
         self._tick = None  # of the fault
+        self._clients = []
 
     def note(self):
         """Mark the instant of the fault; return the control periods so far."""
@@ -97,6 +99,22 @@ class FaultLab:
         client.send_now(f"{line}\n".encode())
         self.cell.wait_until(arm, "runtime_state", 2)
         client.close()
+
+    def replace(self, arm, line, port=30003):
+        """Let another client replace an arm's program by a URScript line; return the time."""
+        self.wires[ARMS.index(arm)].uploads_before += 1
+        client = self.system.connect(getattr(self.cell, arm), port, 1.0)
+        self.note()
+        client.send_now(f"{line}\n".encode())
+        self._clients.append(client)  # unread states would make closing it a reset
+        return self.clock.now_s()
+
+    def moved_until_s(self, arm):
+        """Return when an arm moved last, by the states that its process saw; it saw the arm at rest."""
+        rows = self.runner.arms[ARMS.index(arm)].states()[0]
+        speed = np.abs(rows[:, _START["qd_rad_s"] : _START["qd_rad_s"] + 6]).max(axis=1)
+        assert speed[-1] < _REST_RAD_S, f"{arm}: its process saw it move to the end"
+        return float(rows[speed >= _REST_RAD_S, 0].max(initial=0.0))
 
     def mark(self):
         """Count `executed` from here on."""
@@ -325,6 +343,8 @@ class FaultLab:
             wire.memory = None  # it ends with its process
         if env is not None:
             env.close()
+        while self._clients:
+            self._clients.pop().close()
 
 
 class _Messages(logging.Handler):

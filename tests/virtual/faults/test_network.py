@@ -176,7 +176,9 @@ def test_22_a_network_that_becomes_slow_stops_both(lab):
     lab.begin()
     lab.do("link", arm="right", port="rtde", delay_s=0.09)
     error = lab.step_until_faulted()
-    words = "right: ", "from the one sent", "the controller does not follow"
+    lab.assert_at_rest()
+    lab.clock.sleep(0.2)  # what is underway arrives, and nothing reads it
+    words = "right: ", "from those sent", "the controller does not follow"
     lab.assert_stopped(error, *words, seen_ticks=UNFOLLOWED_TICKS)
 
 

@@ -161,6 +161,56 @@ def test_30_nothing_moves_after_an_emergency_stop(lab):
         assert lab.ask(arm, "runtime_state") == [2]
 
 
+# Another program on a controller, whose state stays PLAYING.
+
+REPLACED_TICKS = 30
+MOST_S = 0.3
+
+
+def movej(lab, arm, *by_rad, a=1.2, v=0.3):
+    here = lab.ask(arm, "actual_q")[0]
+    return f"movej({np.add(here, [*by_rad, *[0.0] * 6][:6]).tolist()}, a={a}, v={v})"
+
+
+def assert_replaced(lab, arm, line, *words, port=30003):
+    """Replace an arm's program, and check that both rest soon and the cause is named."""
+    at_s = lab.replace(arm, line, port)
+    error = lab.step_until_faulted()
+    lab.assert_at_rest()
+    assert max(map(lab.moved_until_s, ARMS)) - at_s < MOST_S
+    lab.assert_stopped(error, f"{arm}: ", *words, seen_ticks=REPLACED_TICKS, ramped=[other(arm)])
+
+
+@pytest.mark.parametrize(("arm", "port", "by_rad"), [("left", 30003, [0.5] * 6), ("right", 30001, [-0.5])])
+def test_63_another_program_that_moves_an_arm_stops_both(lab, arm, port, by_rad):
+    lab.begin()
+    assert_replaced(lab, arm, movej(lab, arm, *by_rad), "another program replaced the control script", port=port)
+
+
+def test_63_another_program_that_moves_an_arm_at_rest_stops_both(lab):
+    """It moves 6 mrad before it is seen."""
+    lab.begin(steps=1)
+    lab.policy = lambda: np.zeros(12, dtype=np.float32)
+    for _ in range(25):
+        lab.env.step(lab.policy())
+    before = lab.ask("left", "actual_q")[0][0]
+    at_s = lab.replace("left", movej(lab, "left", 0.5))
+    assert "another program replaced the control script" in str(lab.step_until_faulted())
+    lab.assert_at_rest()
+    assert max(map(lab.moved_until_s, ARMS)) - at_s < MOST_S
+    assert 0.0 < lab.ask("left", "actual_q")[0][0] - before < 0.02
+    lab.assert_latched("left: ", "another program replaced the control script")
+
+
+def test_63_another_program_that_holds_an_arm_stops_both(lab):
+    """Later: it rests. That the network is not the cause does not show."""
+    lab.begin()
+    lab.replace("right", "def other():\n  sleep(5)\nend")
+    error = lab.step_until_faulted()
+    words = "right: ", "the controller does not follow", "for another program that holds the arm"
+    lab.assert_stopped(error, *words, seen_ticks=REPLACED_TICKS, ramped=["left"])
+
+
 # Arms that are slowed down where the cell file allows it.
 
 

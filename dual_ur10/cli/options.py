@@ -24,7 +24,7 @@ from dual_ur10.ids import env_id_of
 from dual_ur10.kinematics.robots import robot_model
 from dual_ur10.policies.baselines import RandomPolicy, ZeroPolicy
 from dual_ur10.policies.registry import check_name, load_named, with_latency, wrong_types_named
-from dual_ur10.sim2real.runtime.machine_load import too_busy
+from dual_ur10.sim2real.processes.machine_load import too_busy
 
 console = Console()
 errors = Console(stderr=True)

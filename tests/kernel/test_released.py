@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from dual_ur10.assets.collision_model import build_collision_model
 from dual_ur10.assets.obstacles import Box, Capsule
 from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
+from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.control.adapter import ServojAdapter
 from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance
 from dual_ur10.sim2real.control.gate import SWEEP_TOLERANCE_M, SafetyGate
@@ -53,7 +54,7 @@ def spoiled(targets: np.ndarray, last: np.ndarray, kind: str, size: float, rng: 
 )
 def test_what_is_released_keeps_every_limit(kinds, family, ticks, limits, seed) -> None:
     profile, rng = ServojProfile(family), np.random.default_rng(seed)
-    adapter = ServojAdapter(profile, limits, ticks, n=N)
+    adapter = ServojAdapter(profile, limits, ticks, n=N, dh=[NOMINAL_DH] * 2)
     gate = SafetyGate(limits, profile.tick_s, ticks, Clearance(SCENE), n=N)
     start = np.tile(HOME_Q_RAD, (N, 1, 1))
     adapter.reset(start)

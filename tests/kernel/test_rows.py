@@ -10,7 +10,7 @@ import pytest
 
 from dual_ur10.assets.obstacles import Box
 from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
-from dual_ur10.kinematics.ur10 import ARMS
+from dual_ur10.kinematics.ur10 import ARMS, NOMINAL_DH
 from dual_ur10.sim2real.control.adapter import ServojAdapter
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate
@@ -27,7 +27,7 @@ RESETS = {11: np.array([3, 17, 40, 63]), 30: np.array([0, 3, 41])}
 
 def make(n: int, threads: int = 1, mode: str = "joint_delta", ticks: int = 5, limits=HARD) -> ServojPipeline:
     profile = ServojProfile()
-    adapter = ServojAdapter(profile, limits, ticks, n=n, mode=mode, threads=threads)
+    adapter = ServojAdapter(profile, limits, ticks, n=n, mode=mode, dh=[NOMINAL_DH] * 2, threads=threads)
     clearance = Clearance(SCENE, uncertainty=UNCERTAIN)
     gate = SafetyGate(limits, profile.tick_s, ticks, clearance, n=n, threads=threads)
     return ServojPipeline(adapter, gate)

@@ -42,7 +42,7 @@ SLOW = MotionLimits(tcp_speed_m_s=0.25)
 
 
 def at_home(n: int = 1, profile: ServojProfile = CB3, ticks: int = 5, limits: MotionLimits = HARD, **more):
-    adapter = ServojAdapter(profile, limits, ticks, n=n, **more)
+    adapter = ServojAdapter(profile, limits, ticks, n=n, **{"dh": [NOMINAL_DH] * 2, **more})
     adapter.reset(np.tile(HOME_Q_RAD, (n, 1, 1)))
     return adapter
 

@@ -25,7 +25,7 @@ def jacobian(q):
 
 @given(POSTURES)
 def test_the_condition_is_that_of_the_jacobian(q):
-    wanted = np.linalg.cond(jacobian(q, NOMINAL_DH))
+    wanted = np.linalg.cond(jacobian(q))
     near = wanted > 1e9
     np.testing.assert_allclose(condition(q, NOMINAL_DH)[~near], wanted[~near], rtol=1e-6)
     assert (condition(q, NOMINAL_DH)[near] > 1e8).all()
@@ -63,7 +63,7 @@ def test_rows_do_not_depend_on_each_other(q):
 def along(adapter, joint, way):
     """Return the action that rotates one joint of the left arm alone, as far as flange steps can."""
     q = adapter.commanded_q_rad[0, 0]
-    twist = jacobian(q, NOMINAL_DH)[:, joint] * way
+    twist = jacobian(q)[:, joint] * way
     twist[[0, 1, 3, 4]] *= -1.0  # `base` is rotated by π from the cell's frame
     fraction = np.concatenate([twist[:3] / TCP_STEP_M_S, twist[3:] / TCP_ROTATION_RAD_S])
     action = np.zeros((1, 2, 6))

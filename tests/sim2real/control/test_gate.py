@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from dual_ur10.assets.collision_model import clearance_pairs
 from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
 from dual_ur10.errors import ActionError, SettingsError
-from dual_ur10.kinematics.ur10 import ARMS
+from dual_ur10.kinematics.ur10 import ARMS, NOMINAL_DH
 from dual_ur10.sim2real.control.adapter import ServojAdapter
 from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate
@@ -35,7 +35,10 @@ def gate_at_home(
 
 def legal_motion(n: int, periods: int, seed: int = 0, limits: MotionLimits = HARD, ticks: int = TICKS, family="cb3"):
     """Return targets from home, (periods, n, ticks, 2, 6), of an adapter under random actions."""
-    adapter, rng = ServojAdapter(ServojProfile(family), limits, ticks, n=n), np.random.default_rng(seed)
+    adapter, rng = (
+        ServojAdapter(ServojProfile(family), limits, ticks, n=n, dh=[NOMINAL_DH] * 2),
+        np.random.default_rng(seed),
+    )
     adapter.reset(np.tile(HOME_Q_RAD, (n, 1, 1)))
     push = rng.uniform(-1, 1, (n, 2, 6))
     return np.array(
@@ -279,7 +282,8 @@ def test_a_position_out_of_range_is_reported_with_the_nearer_end() -> None:
 def test_a_point_that_is_too_fast_is_named() -> None:
     limits = MotionLimits(tcp_speed_m_s=0.1)
     gate, motion = gate_at_home(1, limits), None
-    adapter = ServojAdapter(ServojProfile(), MotionLimits(acceleration_rad_s2=2.0, jerk_rad_s3=100.0), TICKS)
+    slow = MotionLimits(acceleration_rad_s2=2.0, jerk_rad_s3=100.0)
+    adapter = ServojAdapter(ServojProfile(), slow, TICKS, dh=[NOMINAL_DH] * 2)
     adapter.reset(HOME_Q_RAD[None])
     action = np.zeros((1, 2, 6))
     action[0, 1, 0] = 0.5
@@ -344,7 +348,7 @@ def test_released_targets_do_not_change_with_the_input() -> None:
 def drive(clearance: Clearance, action: np.ndarray, periods: int = 250):
     """Push until refused; return released targets, verdict and number of periods."""
     limits = MotionLimits(speed_rad_s=1.0)
-    adapter = ServojAdapter(ServojProfile(), limits, TICKS)
+    adapter = ServojAdapter(ServojProfile(), limits, TICKS, dh=[NOMINAL_DH] * 2)
     adapter.reset(HOME_Q_RAD[None])
     gate = gate_at_home(1, limits, clearance=clearance)
     sent = [np.tile(HOME_Q_RAD, (1, 4, 1, 1))]

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
 from dual_ur10.errors import ActionError
+from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.control.adapter import ServojAdapter
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate
@@ -44,7 +45,7 @@ def pipeline_at_home(
     **more,
 ) -> ServojPipeline:
     profile = profile or ServojProfile()
-    adapter = ServojAdapter(profile, limits, ticks, n=n, **more)
+    adapter = ServojAdapter(profile, limits, ticks, n=n, **{"dh": [NOMINAL_DH] * 2, **more})
     gate = SafetyGate(limits, profile.tick_s, ticks, clearance or AlwaysClear(), n=n)
     pipeline = ServojPipeline(adapter, gate, held=held)
     pipeline.reset(np.tile(HOME_Q_RAD, (n, 1, 1)))

@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
+from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.control.adapter import ServojAdapter
 from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate, Verdict
@@ -44,7 +45,7 @@ def make_pipeline(
     factor: float = 1.0,
 ) -> ServojPipeline:
     clearance = Clearance(SceneSettings())
-    adapter = ServojAdapter(profile, HARD, ticks, speed_factor=factor)
+    adapter = ServojAdapter(profile, HARD, ticks, dh=[NOMINAL_DH] * 2, speed_factor=factor)
     gate = SafetyGate(HARD, profile.tick_s, ticks, clearance)
     made = None if proximity is None else proximity(clearance, adapter.period_s)
     pipeline = ServojPipeline(adapter, gate, proximity=made)

@@ -6,13 +6,15 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from dual_ur10.errors import MotionError
 from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD, JOINT_SPEED_RAD_S
 from dual_ur10.sim2real.emulator.motion import Motion
-from tests.sim2real.emulator.motion_runs import DT, Q0, SUBSTEPS, TICK_S, at_rest, motion
+from dual_ur10.sim2real.emulator.motion.servo import Servo
+from dual_ur10.sim2real.emulator.motion.trajectories import ACCELERATION_LIMIT_RAD_S2, Superposed
+from tests.sim2real.emulator.motion_runs import DT, Q0, SUBSTEPS, at_rest, motion
 from tests.soak import scaled
 
 SIX = st.lists(st.floats(-1, 1), min_size=6, max_size=6).map(np.array)
@@ -67,7 +69,35 @@ def _command(arm: Motion, name: str, x: np.ndarray, a: float, v: float, blends: 
         {"halt": arm.halt, "end_force": arm.end_force_mode, "end_freedrive": arm.end_freedrive}[name]()
 
 
+# Promised accelerations, rad/s²: the limit of programs, which a governed path may exceed by a tenth. Where two motions
+# add up, it is twice that. The compliance of the TCP comes on top.
+PROGRAM = 1.1 * ACCELERATION_LIMIT_RAD_S2
+COMPLIANCE = 8.0
+
+
+def _promised(arm: Motion, law: tuple[float, float]) -> float:
+    """Return the acceleration (rad/s²) that no joint of the present motion exceeds in trajectory time."""
+    trajectory = arm._trajectory
+    if not isinstance(trajectory, Servo):
+        return (2 if isinstance(trajectory, Superposed) else 1) * PROGRAM + COMPLIANCE
+    # The law is an oscillator, whose energy falls: |gain e| and |gain lookahead v| are below their parts of it.
+    gain, lookahead = law
+    away, rate = np.abs(trajectory.target - trajectory.q), np.abs(trajectory.rate())
+    energy = np.sqrt(rate**2 + gain * away**2).max()
+    return (np.sqrt(gain) + gain * lookahead) * energy + PROGRAM + COMPLIANCE
+
+
 @settings(max_examples=scaled(1500))
+@example(  # the wrist turns while the TCP's compliance ends
+    [
+        ("set_tcp", np.array([0, 0, 0, 0, 0, -0.75]), 1.0, 1.0, 1, False),
+        ("freedrive", np.ones(6), 1.0, 1.0, 60, False),
+        ("stopj", np.zeros(6), 1.0, 1.0, 1, False),
+        ("movel", np.array([-1.0, 0, 0, 0, 0, 0]), 4.0, 1.0, 39, False),
+    ],
+    np.array([-1.0, 0, 0, 0, -1.0, 0]),
+    [1.0] * 8,
+)
 @given(
     commands=st.lists(COMMAND, min_size=1, max_size=8),
     wrench=SIX,
@@ -75,17 +105,19 @@ def _command(arm: Motion, name: str, x: np.ndarray, a: float, v: float, blends: 
 )
 def test_any_commands_move_without_jumps(commands, wrench, scalings):
     arm = motion()
-    q, speed, scaling, law = arm.q.copy(), np.zeros(6), 1.0, 0.0
+    q, speed, scaling, law, promised = arm.q.copy(), np.zeros(6), 1.0, (0.0, 0.0), 0.0
     for (name, x, a, v, ticks, blends), wanted in zip(commands, scalings, strict=False):
         _command(arm, name, x, a, v, blends)
         if name == "servoj":
-            law = max(law, 300 * a * (0.03 + 0.1 * v))  # acceleration that it makes of a speed
+            law = max(300 * a, 100.0), 0.03 + 0.1 * v
         for _ in range(ticks):
             before = scaling
             scaling += min(max(wanted - scaling, -0.1), 0.1)
             if scaling < 1e-9:
                 scaling = 0.0
-            fastest = np.abs(arm._rate).max()
+            fastest = np.abs(arm._rate + arm._yield).max()
+            # A difference of two steps can belong to two motions.
+            most = max(promised, _promised(arm, law))
             plan = arm.plan(scaling, wrench=30 * wrench)
             # The rows are differences of each other, across ticks, too.
             path = np.vstack([plan[:, 0], arm.q[None]])
@@ -96,11 +128,12 @@ def test_any_commands_move_without_jumps(commands, wrench, scalings):
             assert np.array_equal(arm.qd, plan[-1, 1])
             assert np.array_equal(arm.qdd, plan[-1, 2])
             assert np.isfinite(plan).all()
-            # 10 % for servoj, and the compliance of the TCP.
-            assert (np.abs(plan[:, 1]) <= 1.51 * JOINT_SPEED_RAD_S).all()
-            # A servoj towards 0.02 rad at a gain of 1500, two motions that add up, or the change of scaling.
-            slowed = abs(scaling - before) / TICK_S * SUBSTEPS * max(fastest, np.abs(arm._rate).max())
-            assert np.abs(plan[:, 2]).max() <= 120.0 + 1.1 * slowed + law * fastest
+            # 10 % for servoj and near singularities, 40 % for the compliance of the TCP.
+            assert (np.abs(plan[:, 1]) <= 1.5 * JOINT_SPEED_RAD_S + 1e-9).all()
+            promised = _promised(arm, law)
+            change = abs(scaling - before)  # within one physics step
+            most = max(most, promised) * (1 + change) + change / DT * fastest
+            assert np.abs(plan[:, 2]).max() <= most + 1e-6
             q, speed = arm.q, arm.qd
         if arm.fault is not None and blends:
             arm.fault = None

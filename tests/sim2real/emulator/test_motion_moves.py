@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD, JOINT_SPEED_RAD_S, NOMINAL_DH
 from dual_ur10.sim2real.emulator.motion.tool_kinematics import rotvec_of
+from dual_ur10.sim2real.emulator.motion.trajectories import ACCELERATION_LIMIT_RAD_S2
 from tests.sim2real.emulator.motion_runs import (
     DT,
     Q0,
@@ -131,6 +132,42 @@ def test_movel_slows_down_where_a_joint_would_be_too_fast():
     assert ticks * TICK_S > 0.3 / 1.0 + 1.0 / 3.0 + 0.05
     at = positions(path)
     assert np.abs(at[:, (0, 2)] - at[0, (0, 2)]).max() < 1e-6
+
+
+@pytest.mark.parametrize(("tick_s", "substeps"), [(TICK_S, SUBSTEPS), (0.002, 1)])
+def test_near_singularities_no_joint_accelerates_more_than_programs_may(tick_s, substeps):
+    rng = np.random.default_rng(5)
+    faults = 0
+    for _ in range(12):
+        q = Q0 + rng.uniform(-0.5, 0.5, 6)
+        q[4] = rng.uniform(-0.05, 0.05)  # the wrist's singularity
+        arm = motion(q, tick_s, substeps)
+        goal = np.array(arm.tcp_pose(q)) + rng.uniform(-0.2, 0.2, 6)
+        path, _ = until_done(arm, arm.move_linear(goal, 4.0, 1.2))
+        rest = at_rest(arm) if arm.moving else path[-1:]
+        accelerations = np.diff(np.vstack([q, path, rest[1:]]), 2, axis=0) / (tick_s / substeps) ** 2
+        assert np.abs(accelerations).max() <= 1.1 * ACCELERATION_LIMIT_RAD_S2
+        assert arm.fault is None or arm.fault.code == "C154A0"
+        faults += arm.fault is not None
+    assert faults < 6
+
+
+def _strong(arm, kind):
+    """Move as strongly as programs may."""
+    if kind == "movel":
+        return until_done(arm, arm.move_linear(pose(arm, 0.1, 0.2, -0.1), 40.0, 3.0))[0]
+    first, _ = until_done(arm, arm.speed_linear([0.1, 0.4, -0.1, 0.0, 0.5, 0.0], 40.0, 0.15))
+    stop = arm.stop_linear(40.0) if kind == "stopl" else arm.speed_linear([0.0] * 6, 40.0)
+    return np.vstack([first, until_done(arm, stop)[0][1:]])
+
+
+@pytest.mark.parametrize("kind", ["movel", "stopl", "speedl"])
+def test_the_strongest_motions_of_the_tcp_are_within_the_joints_accelerations(kind):
+    arm = motion()
+    path = _strong(arm, kind)
+    assert arm.fault is None
+    assert np.abs(arm.qd).max() < 1e-6
+    assert 15.0 < np.abs(np.diff(path, 2, axis=0)).max() / DT**2 <= ACCELERATION_LIMIT_RAD_S2
 
 
 def test_movec_is_a_circle_through_its_points():

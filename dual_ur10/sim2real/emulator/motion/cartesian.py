@@ -11,13 +11,21 @@ from dual_ur10.errors import UnreachableError
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_to_matrix
 from dual_ur10.sim2real.emulator.motion.paths import Path
 from dual_ur10.sim2real.emulator.motion.tool_kinematics import ArmKinematics, Frame, Tool
-from dual_ur10.sim2real.emulator.motion.trajectories import TIME_EPSILON_S, Trajectory, Trapezoid
+from dual_ur10.sim2real.emulator.motion.trajectories import (
+    ACCELERATION_LIMIT_RAD_S2,
+    TIME_EPSILON_S,
+    Trajectory,
+    Trapezoid,
+)
 from dual_ur10.types import Array
 
 ACCELERATION_LIMIT: Final = 40.0
 """Greatest acceleration of the TCP, m/s² and rad/s². A choice of this project: controllers accept more than an arm can
 follow.
 """
+
+RAMP_RAD_S2: Final = 0.5 * ACCELERATION_LIMIT_RAD_S2
+"""Greatest acceleration of the joints for a ramp of the TCP's speed. The rest is for the curvature of their path."""
 
 SPEED_LIMIT: Final = 5.0
 """Greatest speed of the TCP, m/s and rad/s. The joints' limits are usually reached first."""
@@ -89,10 +97,13 @@ class PoseMove(PoseTrajectory):
         super().__init__(arm, tool, near)
         self.path, self.end, self.blend_m = path, end, blend_m
         distance = max(path.length_m, path.angle_rad)
+        most = ACCELERATION_LIMIT
+        if (turned := float(np.abs(end - near).max())) > 0.0:
+            most = min(most, RAMP_RAD_S2 * distance / turned)
         if time > 0.0:
-            self.profile = Trapezoid.timed(distance, time, SPEED_LIMIT, ACCELERATION_LIMIT)
+            self.profile = Trapezoid.timed(distance, time, SPEED_LIMIT, most)
         else:
-            self.profile = Trapezoid(distance, min(speed, SPEED_LIMIT), min(acceleration, ACCELERATION_LIMIT))
+            self.profile = Trapezoid(distance, min(speed, SPEED_LIMIT), min(acceleration, most))
         self.duration = self.profile.duration
 
     def poses(self, times: Array) -> Frame:
@@ -110,7 +121,7 @@ class PoseBlend(PoseTrajectory):
 
     def __init__(self, main: PoseMove, ending: PoseMove) -> None:
         super().__init__(main.arm, main.tool, ending.near)
-        self.main, self.ending = main, ending
+        self.main, self.ending, self.pace = main, ending, ending.pace
 
     def poses(self, times: Array) -> Frame:
         """Return poses (n) of the TCP at times (n,)."""
@@ -179,14 +190,22 @@ class SpeedPose(PoseTrajectory):
         """Set a new speed (6,). The command returns after `ticks`, or at 0 once the speed is reached."""
         self._target = twist
         self._timed, self.ticks_left = ticks > 0, ticks
-        change = twist - self._twist
-        self._change = np.zeros((2, 6))
+        self._change, self._reached_s = self._ramp_to(twist, acceleration, acceleration_rad_s2)
+        self.t = 0.0
+
+    def ramp(self, twist: Array, acceleration: float, acceleration_rad_s2: float) -> Array:
+        """Return the acceleration (6,) with which `aim` would begin."""
+        start: Array = self._ramp_to(twist, acceleration, acceleration_rad_s2)[0].sum(axis=0)
+        return start
+
+    def _ramp_to(self, twist: Array, acceleration: float, acceleration_rad_s2: float) -> tuple[Array, Array]:
+        change, accelerations, times = twist - self._twist, np.zeros((2, 6)), np.zeros(2)
         for row, (part, limit) in enumerate(((slice(0, 3), acceleration), (slice(3, 6), acceleration_rad_s2))):
             size = float(np.linalg.norm(change[part]))
-            self._reached_s[row] = size / limit
+            times[row] = size / limit
             if size > 0.0:
-                self._change[row, part] = change[part] * (limit / size)
-        self.t = 0.0
+                accelerations[row, part] = change[part] * (limit / size)
+        return accelerations, times
 
     def _ramps(self, times: Array) -> Array:
         """Return the time (n, 2) for which translation and rotation have accelerated."""

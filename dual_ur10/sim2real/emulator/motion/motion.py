@@ -14,6 +14,7 @@ from dual_ur10.sim2real.control.servoj import GAIN_RANGE, LOOKAHEAD_RANGE_S
 from dual_ur10.sim2real.emulator.motion.arguments import checked_frame, not_negative, number, positive, six
 from dual_ur10.sim2real.emulator.motion.cartesian import (
     ACCELERATION_LIMIT,
+    RAMP_RAD_S2,
     SPEED_LIMIT,
     PoseBlend,
     PoseBrake,
@@ -22,7 +23,7 @@ from dual_ur10.sim2real.emulator.motion.cartesian import (
 )
 from dual_ur10.sim2real.emulator.motion.joint_torque import TorqueStream, checked_torques
 from dual_ur10.sim2real.emulator.motion.paths import Line, Path, through
-from dual_ur10.sim2real.emulator.motion.reference import JOINT_LIMIT, SINGULARITY, SUDDEN_CHANGE, ZEROS, Handle
+from dual_ur10.sim2real.emulator.motion.reference import JOINT_LIMIT, SINGULARITY, SUDDEN_CHANGE, ZEROS, Handle, damped
 from dual_ur10.sim2real.emulator.motion.servo import Servo
 from dual_ur10.sim2real.emulator.motion.tool_kinematics import Frame, pose_of
 from dual_ur10.sim2real.emulator.motion.tool_motion import ToolMotion
@@ -80,7 +81,7 @@ class Motion(ToolMotion):
     def move_linear(self, pose: Iterable[Any], a: float, v: float, t: float = 0.0, r: float = 0.0) -> Handle:
         """`movel`: move to a pose (6,) on a line in space, with an even rotation of the tool.
 
-        The move slows down where a joint would exceed its speed limit.
+        The move slows down where a joint would exceed its speed limit or the acceleration limit of programs.
         """
         target = checked_frame(pose, "the target of movel")
         return self._move_tcp(None, target, *_move_arguments("movel", a, v, t, r))
@@ -235,7 +236,7 @@ class Motion(ToolMotion):
     def speed_linear(self, xd: Iterable[Any], a: float, t: float = 0.0, a_rot: float | None = None) -> Handle:
         """`speedl`: accelerate to a speed (6,) of the TCP in base and hold it. At `t` 0 it returns when it is reached.
 
-        It slows down where a joint would exceed its limit; near a singularity it ends with a fault. If the program
+        It slows down where a joint would exceed its limits; near a singularity it ends with a fault. If the program
         commands nothing after the return, the arm decelerates as at the end of a program. `a_rot` is the acceleration
         of rotation, rad/s²; the number `a` if None.
         """
@@ -250,6 +251,11 @@ class Motion(ToolMotion):
         goes_on = isinstance(trajectory, SpeedPose) and trajectory.tool is self.tool and not self._offset.any()
         if not (goes_on and isinstance(trajectory, SpeedPose)):
             trajectory = SpeedPose(self.arm, self.tool, self.q, self._twist())
+        ramp = trajectory.ramp(twist, a, a_rot)
+        if ramp.any():
+            joints = damped(self.arm.jacobian(self.q, self.tool), ramp)
+            slower = max(1.0, float(np.abs(joints).max()) / RAMP_RAD_S2)
+            a, a_rot = a / slower, a_rot / slower
         trajectory.aim(twist, a, a_rot, ticks)
         return self._begin(trajectory, self.q, None)
 
@@ -288,7 +294,8 @@ class Motion(ToolMotion):
         if self.fault is not None:
             return self._refuse()
         twist = self._twist()
-        time = max(float(np.linalg.norm(twist[:3])) / a, float(np.linalg.norm(twist[3:])) / a_rot)
+        parts = float(np.linalg.norm(twist[:3])) / a, float(np.linalg.norm(twist[3:])) / a_rot
+        time = max(*parts, float(np.abs(self._rate).max()) / RAMP_RAD_S2)
         return self._begin(PoseBrake(self.arm, self.tool, self.q, twist, time), self.q, None)
 
     def halt(self, scaling: float = 1.0) -> None:

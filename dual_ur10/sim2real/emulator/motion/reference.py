@@ -30,7 +30,8 @@ INVALID_SETPOINT: Final = "C204A5"  # path sanity check: the program resulted in
 _NO_TIME: Final = 1e-6  # scaling below which the arm stops
 _MOVING_RAD_S: Final = 1e-6
 _STILL_RAD_S: Final = 0.01  # slower arms without a command are not stopped
-_OVERSPEED: Final = 1.1  # ratio to a joint's speed limit above which a setpoint is invalid
+_EXCESS: Final = 1.1  # ratio to a joint's limit above which a setpoint is invalid
+_WITHIN: Final = 0.999  # ratio to it at which a pace aims
 _SLOWEST: Final = 0.02  # ratio to its speed below which a TCP motion is stopped near a singularity
 _TRIES: Final = 6
 _DAMPING: Final = 0.05  # of the damped least squares from a compliant TCP to the joints
@@ -258,38 +259,67 @@ class Reference:
             return np.broadcast_to(self.q - self._offset, (self.substeps, 6))
         before = self.q - self._offset
         try:
-            q, scale, speed = self._slowed(trajectory, before, step)
+            q, time, speed = self._paced(trajectory, before, step)
             self._check(trajectory, q, speed)
         except UnreachableError as error:
             self._fail(SINGULARITY, f"position in singularity or out of reach: {error}")
         except _InvalidError as error:
             self._fail(error.code, str(error))
         else:
-            return self._commit(trajectory, q, scale * step, speed * scale)
+            return self._commit(trajectory, q, time, speed)
         return self._advance(step)  # of the brake
 
-    def _slowed(self, trajectory: Trajectory, before: Array, step: float) -> tuple[Array, float, Array]:
-        """Return positions, the time scaling that keeps the joints' limits, and the last speed."""
-        scale = 1.0
+    def _paced(self, trajectory: Trajectory, before: Array, step: float) -> tuple[Array, float, Array]:
+        """Return positions after each physics step, the trajectory's time for them, and the last speed.
+
+        The pace of a governed trajectory changes evenly within the tick. It is the greatest, up to 1, that keeps the
+        joints' speeds and accelerations, and at which their path does not bend faster than they may accelerate.
+        """
+        if not trajectory.governed:
+            q = trajectory.positions(step, self._counts)
+            speeds = np.diff(q, axis=0, prepend=before[None]) / step
+            used = float((np.abs(speeds) / self.joint_speed_rad_s).max())
+            if used > _EXCESS and not isinstance(trajectory, JointBrake):
+                raise _InvalidError(
+                    INVALID_SETPOINT,
+                    f"invalid setpoint: a joint would move at {used:.3g} times its greatest speed, "
+                    f"allowed is {_EXCESS}",
+                )
+            return q, step * self.substeps, speeds[-1]
+        # Mean pace in each physics step is `kept + gain * pace`. From rest it need not be continuous.
+        gain = (self._counts - 0.5) / self.substeps
+        if trajectory.t == 0.0 and not self._rate.any():
+            gain = np.ones(self.substeps)
+        kept, wanted = trajectory.pace * (1.0 - gain), 1.0
+        most = np.array([[self.joint_speed_rad_s], [np.full(6, trajectory.most_rad_s2 * step)]])
         for _ in range(_TRIES):
-            q = trajectory.positions(scale * step, self._counts)
-            moves = np.empty_like(q)
-            moves[0] = q[0] - before
-            np.subtract(q[1:], q[:-1], out=moves[1:])
-            used = float((np.abs(moves) / self.joint_speed_rad_s).max()) / step
-            if used <= 1.0 + 1e-6 or not trajectory.governed:
+            pace = wanted
+            paces = kept + gain * pace
+            times = np.cumsum(paces)
+            q = trajectory.positions(step, times)
+            speeds = np.diff(q, axis=0, prepend=before[None]) / step
+            used = float((np.abs([speeds, np.diff(speeds, axis=0, prepend=self._rate[None])]) / most).max())
+            fits = used <= 1.0 + 1e-6
+            if fits and trajectory.pace == pace == 1.0:
                 break
-            scale *= 0.9999 / used
-            if scale < _SLOWEST:
+            # Speeds are proportional to the pace where the path is straight: a linear inequality for each limit.
+            slope = speeds / paces[:, None]
+            fixed, free = slope * kept[:, None], slope * gain[:, None]
+            fixed = np.array([fixed, np.diff(fixed, axis=0, prepend=self._rate[None])])
+            free = np.array([free, np.diff(free, axis=0, prepend=0.0)])
+            path = slope if trajectory.slope is None else np.vstack([trajectory.slope, slope])
+            bends = np.abs(np.diff(path, axis=0)) / paces[1 - len(path) :, None]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                ends = (np.array([-_WITHIN * most, _WITHIN * most]) - fixed) / free
+                even = float(np.sqrt(most[1, 0, 0] / bends.max(initial=0.0)))
+            low, high = min(float(np.nanmax(ends.min(0))), 1.0), max(float(np.nanmin(ends.max(0))), 0.0)
+            wanted = max(low, min(high, even, 1.0)) if low <= high else 0.5 * (low + high)
+            if (fits and pace <= 1.01 * wanted) or wanted < _SLOWEST:
                 break
-        if scale < _SLOWEST or (used > _OVERSPEED and not isinstance(trajectory, JointBrake)):
-            if trajectory.governed:
-                raise UnreachableError("its joints would exceed their speed limits")
-            raise _InvalidError(
-                INVALID_SETPOINT,
-                f"invalid setpoint: a joint would move at {used:.3g} times its greatest speed, allowed is {_OVERSPEED}",
-            )
-        return q, scale, moves[-1] / (scale * step)
+        if used > _EXCESS or wanted < _SLOWEST:
+            raise UnreachableError("its joints would exceed their limits of speed or acceleration")
+        trajectory.pace, trajectory.slope = pace, speeds[-1] / paces[-1]
+        return q, step * float(times[-1]), speeds[-1]
 
     def _check(self, trajectory: Trajectory, q: Array, rate: Array) -> None:
         """Stop at the joint limits. Targets of other trajectories were checked when they were commanded."""
@@ -307,12 +337,12 @@ class Reference:
 
     def _commit(self, trajectory: Trajectory, q: Array, time: float, speed: Array) -> Array:
         """Accept the positions after `time` of the trajectory; `speed` is the last one in trajectory time."""
-        trajectory.commit(time * self.substeps)
+        trajectory.commit(time)
         trajectory.ticks_left -= 1
         rate = trajectory.rate()
-        scale = time / (self._scaling * self._dt)
-        self._rate = speed if rate is None else rate * scale
+        self._rate = speed if rate is None else rate * trajectory.pace
         if isinstance(trajectory, Superposed | PoseBlend) and trajectory.ending.finished:
+            trajectory.main.pace = trajectory.pace
             trajectory = self._trajectory = trajectory.main
         handle = self._handle
         if not handle.done:
@@ -370,8 +400,7 @@ class Reference:
             speed = jacobian[:3] @ (self._rate + self._yield)
             twist = self._compliance.twist(wrench, self.arm.tcp(self.q, self.tool), speed)
             twist = np.clip(twist, -SPEED_CAP, SPEED_CAP)
-            damped = jacobian @ jacobian.T + _DAMPING**2 * np.eye(6)
-            target = jacobian.T @ np.linalg.solve(damped, twist)
+            target = damped(jacobian, twist)
             target = target / max(1.0, float((np.abs(target) / (_YIELD_RATIO * self.joint_speed_rad_s)).max()))
             # Stop before a joint limit, with room to spare.
             after = self.q + target * self.assumptions.stopping_s
@@ -386,6 +415,12 @@ class Reference:
             self._yield = ZEROS
         self._offset = offset[-1]
         return offset
+
+
+def damped(jacobian: Array, twist: Array) -> Array:
+    """Return the joint speeds (6,) for a speed (6,) of the TCP by damped least squares."""
+    speeds: Array = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + _DAMPING**2 * np.eye(6), twist)
+    return speeds
 
 
 class _InvalidError(Exception):

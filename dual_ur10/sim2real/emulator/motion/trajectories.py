@@ -101,11 +101,17 @@ class Trajectory(ABC):
         t: Elapsed time, s.
         duration: Time at which the arm stops, s; infinite if it does not stop by itself.
         streamed: Whether a program has to keep commanding it.
-        governed: Whether its time may be slowed down so that joints keep their speed limits. Other trajectories limit
-            their speeds themselves.
+        governed: Whether its time may be slowed down so that joints keep their limits. Other trajectories keep them
+            themselves.
+        pace: Its time per time of the program, 0 to 1, at the end of the last tick.
+        slope: (6,) joint speeds per pace in the last physics step, or None at the start.
+        most_rad_s2: Greatest acceleration of a joint, if governed.
     """
 
     t: float = 0.0
+    pace: float = 1.0
+    slope: Array | None = None
+    most_rad_s2: float = ACCELERATION_LIMIT_RAD_S2
     duration: float = 0.0
     streamed: bool = False
     governed: bool = False
@@ -178,7 +184,7 @@ class JointMove(Trajectory):
     def positions(self, step: float, counts: Array) -> Array:
         """Return joint positions (n, 6); see `Trajectory`."""
         fraction = self.profile.fraction
-        fractions = [fraction(self.t + step * count) for count in range(1, len(counts) + 1)]
+        fractions = [fraction(self.t + step * count) for count in counts.tolist()]
         q = self._start + np.multiply.outer(fractions, self._displacement)
         if fractions[-1] == 1.0:
             q[[each == 1.0 for each in fractions]] = self.end
@@ -272,9 +278,11 @@ class Superposed(Trajectory):
     """
 
     governed = True
+    most_rad_s2 = 2 * ACCELERATION_LIMIT_RAD_S2
 
     def __init__(self, main: Trajectory, ending: Trajectory, end: Array) -> None:
         self.main, self.ending, self._end = main, ending, end
+        self.pace = ending.pace
 
     def positions(self, step: float, counts: Array) -> Array:
         """Return joint positions (n, 6); see `Trajectory`."""

@@ -10,6 +10,9 @@ constexpr double TINIEST = 1e-300;
 constexpr double WRIST_SINGULAR = 1e-8;  // below this sine of theta5 theta6 is free: it moves the flange by less
 constexpr double WRIST_BLURRED = 1e-3;   // up to this one, rounding of the pose blurs theta6 enough to matter
 constexpr double BLUR_RAD = 1e-11;
+// By how much rounding alone puts an angle past the end of its range: at a stretched arm by its root. Bringing it back
+// moves the flange by less than is allowed at the edge of reach.
+constexpr double ROUNDED_RAD = 5e-8;
 constexpr double PI = 3.14159265358979323846;
 
 struct Branch {
@@ -37,12 +40,13 @@ Branch branch(const double* lengths, Vector position, const Rotation& columns, d
     double cos6 = normal.x * scale, sin6 = -normal.y * scale;
     if (sin5 < WRIST_BLURRED) {
         const SineCosine free6 = sine_cosine(theta6);
-        const double cos_ref = wrist * free6.cosine, sin_ref = wrist * free6.sine;
-        // Take the reference's theta6 wherever that rotates the flange by hardly more than rounding does.
-        const bool blurred = fabs(normal.x * sin_ref + normal.y * cos_ref) < BLUR_RAD;
-        if (sin5 < WRIST_SINGULAR || (blurred && cos6 * cos_ref + sin6 * sin_ref > 0.0)) {
-            cos6 = cos_ref;
-            sin6 = sin_ref;
+        // Take the reference's theta6 wherever that rotates the flange by hardly more than rounding does. Where any does,
+        // the two branches of the wrist take opposite ones, so that they differ.
+        const bool blurred = fabs(normal.x * free6.sine + normal.y * free6.cosine) < BLUR_RAD;
+        const double side = sin5 < WRIST_SINGULAR ? wrist : 1.0;
+        if (sin5 < WRIST_SINGULAR || (blurred && cos6 * free6.cosine + sin6 * free6.sine > 0.0)) {
+            cos6 = side * free6.cosine;
+            sin6 = side * free6.sine;
         }
         // Where that asks too much of a stretched arm, let wrist 2's axis point from the shoulder to the wrist centre,
         // which spares it most.
@@ -90,7 +94,7 @@ void keep_nearer(const double* solution, const double* reference, const double* 
     double nearest[6], distance = 0.0;
     for (int j = 0; j < 6; ++j) {
         double turned = solution[j] + 2.0 * PI * rint((reference[j] - solution[j]) / (2.0 * PI));
-        if (fabs(turned) > range[j] + 1e-9) turned -= copysign(2.0 * PI, turned);  // it may be past it by rounding
+        if (fabs(turned) > range[j] + ROUNDED_RAD) turned -= copysign(2.0 * PI, turned);
         nearest[j] = clamp(turned, -range[j], range[j]);
         distance += (turned - reference[j]) * (turned - reference[j]);
     }

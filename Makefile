@@ -128,12 +128,15 @@ test-dist: $(DIST)/.dev $(KERNEL)  ## training on Ray RLlib with two workers on 
 clients: $(VENV)/.dev $(CLIENTS)/.dev $(KERNEL)  ## other client libraries against emulated controllers; writes the table of docs/reference/clients.md
 	@$(VENV)/bin/python benchmarks/clients.py --python $(CLIENTS)/bin/python --page docs/reference/clients.md
 
-soak: $(VENV)/.dev $(KERNEL)  ## the tests with their full counts (about twenty times as long)
-	@export DUAL_UR10_SOAK=1; $(VENV)/bin/python -m pytest -n 2 -m "not emulated" --durations=15; code=$$?; \
+# Properties are the same in every other run. Here they draw anew; a failure prints the decorator that replays it.
+soak: $(VENV)/.dev $(KERNEL)  ## the tests with their full counts (about twenty times as long), fresh draws or those of SEED
+	@export DUAL_UR10_SOAK=1; seed=$(or $(SEED),$$(od -An -N4 -tu4 /dev/urandom | tr -d ' ')); \
+	  echo "Properties are drawn with seed $$seed: make soak SEED=$$seed draws the same."; \
+	  $(VENV)/bin/python -m pytest -n 2 -m "not emulated" --hypothesis-seed=$$seed --durations=15; code=$$?; \
 	  $(MAKE) --no-print-directory test-live || code=$$?; exit $$code
 
 fuzz: $(VENV)/.fuzz $(KERNEL)  ## fuzz all that reads bytes of others: RUNS=20000 or TIME_S=60 per target, TARGET=name
-	@$(VENV)/bin/python -m tests.fuzz.run --runs $(RUNS) --seconds $(or $(TIME_S),0) --seed $(or $(SEED),1) $(TARGET)
+	@$(VENV)/bin/python -m tests.fuzz.run --runs $(RUNS) --seconds $(or $(TIME_S),0) $(if $(SEED),--seed $(SEED)) $(TARGET)
 
 # The seeds of a failure replay exactly: make simulate SEED=123. Or a schedule from a file: make simulate SCHEDULE=file.toml
 simulate: $(VENV)/.dev $(KERNEL)  ## SEEDS random fault schedules on virtual cells, on JOBS processes

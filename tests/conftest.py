@@ -2,13 +2,17 @@
 
 import inspect
 import os
+import random
 import signal
 
 import hypothesis
+import numpy as np
 import pytest
+from hypothesis.internal.conjecture import providers
 
 from tests.busy_machine import BusyMachine
 from tests.progress import Progress
+from tests.soak import SOAK
 
 # Workers of pytest-xdist get the width of the terminal; rich takes it when a console is made, at import.
 os.environ.pop("COLUMNS", None)
@@ -17,9 +21,34 @@ os.environ.pop("COLUMNS", None)
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# How long an example takes is the machine's affair.
-hypothesis.settings.register_profile("dual_ur10", deadline=None)
-hypothesis.settings.load_profile("dual_ur10")
+# Properties see the same examples in every run, on any machine: those that their source gives. A soak and
+# `--hypothesis-seed` draw others, and each failure prints the decorator that replays it. How long an example takes is
+# the machine's affair.
+_COMMON = {
+    "database": None,
+    "deadline": None,
+    "print_blob": True,
+    "suppress_health_check": [hypothesis.HealthCheck.too_slow],
+}
+hypothesis.settings.register_profile("repeated", derandomize=True, **_COMMON)
+hypothesis.settings.register_profile("fresh", derandomize=False, **_COMMON)
+hypothesis.settings.load_profile("fresh" if SOAK else "repeated")
+
+
+def _constants_of_modules(found=providers._get_local_constants):
+    """Return the constants that Hypothesis tries beside what it draws: those of modules that happen to be imported."""
+    return providers._local_constants if hypothesis.settings.default.derandomize else found()
+
+
+providers._get_local_constants = _constants_of_modules
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item):
+    """Let what is drawn without a seed be the same in every run; a soak draws anew."""
+    if not SOAK:
+        np.random.bit_generator.randbits = random.Random(0).getrandbits
+
 
 _STARTERS = {"EmulatedCell", "CellForTests", "Lab", "emulated_cell", "measure_emulated"}
 """Names of what starts emulated controllers."""
@@ -33,6 +62,8 @@ def pytest_addoption(parser):
 
 
 def pytest_configure(config):
+    if config.getoption("--hypothesis-seed") is not None:
+        hypothesis.settings.load_profile("fresh")
     config.pluginmanager.register(BusyMachine())
     if not hasattr(config, "workerinput"):  # of a worker of pytest-xdist
         config.pluginmanager.register(Progress())

@@ -12,6 +12,7 @@ import argparse
 import json
 import logging
 import re
+import secrets
 import shlex
 import shutil
 import subprocess
@@ -138,7 +139,7 @@ def main() -> int:
     parser.add_argument("targets", nargs="*", help="names; none: all of them")
     parser.add_argument("--runs", type=int, default=0, help="executions per target; 0: no limit")
     parser.add_argument("--seconds", type=int, default=0, help="time per target; 0: no limit")
-    parser.add_argument("--seed", type=int, default=1, help="seed of the mutations")
+    parser.add_argument("--seed", type=int, help="seed of the mutations; by default another one each time")
     parser.add_argument("--merge", action="store_true", help="replace the committed corpora instead")
     options = parser.parse_args()
     names = options.targets or list(TARGETS)
@@ -150,12 +151,16 @@ def main() -> int:
         return 0
     if options.runs <= 0 and options.seconds <= 0:
         parser.error("give --runs or --seconds, above 0")
+    seed = secrets.randbelow(2**31) + 1 if options.seed is None else options.seed
+    print(
+        f"Mutations are drawn with seed {seed}: make fuzz SEED={seed} draws the same from the same corpus.", flush=True
+    )
     results = []
     for name in names:
-        results.append(run(name, runs=options.runs, seconds=options.seconds, seed=options.seed))
+        results.append(run(name, runs=options.runs, seconds=options.seconds, seed=seed))
         last = results[-1]
         rate = last["executions"] / max(last["seconds"], 1e-9)
-        end = "ok" if last["ok"] else f"FAILED: the input is in {OUT}/found/{name}"
+        end = "ok" if last["ok"] else f"FAILED: {OUT}/{name}.sh FILE replays an input of {OUT}/found/{name}"
         print(
             f"{name:20} {last['executions']:>11,} executions {last['seconds']:>8} s {rate:>8,.0f}/s "
             f"{last['peak_mb']:>5} MB  {end}",

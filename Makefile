@@ -92,10 +92,7 @@ demo: $(VENV)/.demo $(KERNEL)  ## install, run the scripted policies, also on em
 
 test: $(VENV)/.dev $(KERNEL)  ## install, lint, type-check, run all tests but those in real time, and a smoke test of these
 	@echo "Lint, types and documentation ..."
-	@$(VENV)/bin/ruff check .
-	@$(VENV)/bin/ruff format --check .
-	@$(VENV)/bin/mypy
-	@$(MAKE) --no-print-directory docs
+	@$(MAKE) --no-print-directory -j 2 lint docs
 	@$(VENV)/bin/python -m pytest -n 2 --dist worksteal -m "not emulated"
 	@$(VENV)/bin/python -m pytest tests/live/test_smoke.py
 

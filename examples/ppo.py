@@ -1,4 +1,4 @@
-"""PPO in one file, on SineTracking, from scratch: python examples/ppo.py [STEPS] [FOLDER] [SEED].
+"""PPO in one file, on SineTracking, from scratch: python examples/ppo.py [STEPS] [FOLDER] [SEED] [EPISODES].
 
 J. Schulman et al., "Proximal Policy Optimization Algorithms", 2017. One network acts for each arm by itself, from its
 commanded joints and the step from there to its reference, and learns from the reward of its arm alone. The result is a
@@ -25,6 +25,7 @@ ENV_ID = "DualUR10/SineTracking-v0"
 STEPS = int(sys.argv[1]) if len(sys.argv) > 1 else 1_000_000
 FOLDER = sys.argv[2] if len(sys.argv) > 2 else "sine_ppo"
 SEED = int(sys.argv[3]) if len(sys.argv) > 3 else 0
+EPISODES = int(sys.argv[4]) if len(sys.argv) > 4 else 100  # of the evaluation
 
 CELLS, ROLLOUT, EPOCHS, BATCH = 64, 16, 5, 256
 RATE, GAMMA, LAMBDA, CLIP = 1e-3, 0.9, 0.9, 0.2
@@ -151,5 +152,5 @@ manifest = Manifest(
 checkpoint.save(FOLDER, [weights], manifest)
 envs.close()
 
-found = evaluate(ENV_ID, FOLDER, episodes=100, num_envs=50)
-print(f"{found.successes} of 100 episodes succeed, mean return {found.mean_return:.1f}")
+found = evaluate(ENV_ID, FOLDER, episodes=EPISODES, num_envs=min(EPISODES, 50))
+print(f"{found.successes} of {EPISODES} episodes succeed, mean return {found.mean_return:.1f}")

@@ -12,7 +12,7 @@ import pytest
 FOLDER = Path(__file__).parent.parent / "examples"
 ARGUMENTS = {
     "train_with_sb3": (("2048", "sine_ppo"), "stable_baselines3"),
-    "ppo": (("2048", "sine_ppo"), "torch"),
+    "ppo": (("2048", "sine_ppo", "0", "2"), "torch"),
     "pettingzoo_loop": (("20",), "pettingzoo"),
     "evaluate_checkpoint": (("learned", "2"), "numpy"),
     "own_task": (("2",), "gymnasium"),

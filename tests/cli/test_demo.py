@@ -35,6 +35,7 @@ MOST_MM = 15.0  # placing error of a success
 VIDEOS = {task.name: task.video for task in TASKS}
 EXTENT = dataclasses.replace(
     run.QUICK,
+    duration_s=2.0,
     episodes=1,
     every={"sine": 10, "carry": 300, "handover": 100},  # three or four frames
     emulated=(emulated.sine_run(1.0),),  # what is run in real time has tests of its own

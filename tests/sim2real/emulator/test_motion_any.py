@@ -98,6 +98,16 @@ def _promised(arm: Motion, law: tuple[float, float]) -> float:
     np.array([-1.0, 0, 0, 0, -1.0, 0]),
     [1.0] * 8,
 )
+@example(  # stops what yields while time slows down
+    [
+        *([("nothing", np.zeros(6), 1.0, 1.0, 1, False)] * 3),
+        ("freedrive", np.array([0, 0, 0, 1.0, 0, 1.0]), 1.0, 1.0, 23, False),
+        ("movej", np.zeros(6), 1.0, 1.0, 1, False),
+        ("halt", np.zeros(6), 1.0, 1.0, 1, False),
+    ],
+    np.array([0, 0, 0, 1.0, 1.0, 0]),
+    [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0],
+)
 @given(
     commands=st.lists(COMMAND, min_size=1, max_size=8),
     wrench=SIX,
@@ -132,6 +142,7 @@ def test_any_commands_move_without_jumps(commands, wrench, scalings):
             assert (np.abs(plan[:, 1]) <= 1.5 * JOINT_SPEED_RAD_S + 1e-9).all()
             promised = _promised(arm, law)
             change = abs(scaling - before)  # within one physics step
+            fastest = max(fastest, np.abs(arm._rate + arm._yield).max())
             most = max(most, promised) * (1 + change) + change / DT * fastest
             assert np.abs(plan[:, 2]).max() <= most + 1e-6
             q, speed = arm.q, arm.qd

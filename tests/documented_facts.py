@@ -113,7 +113,7 @@ def constants() -> dict[str, str]:
     from dual_ur10.assets.collision_model import clearance_pairs
     from dual_ur10.assets.settings import Equipment, SceneSettings
     from dual_ur10.envs.core.setup import load_task
-    from dual_ur10.ids import ENV_IDS, task_name
+    from dual_ur10.ids import ENV_IDS
     from dual_ur10.kinematics import ur10
     from dual_ur10.kinematics.robots import ROBOTS
     from dual_ur10.sim2real.config import cell
@@ -131,12 +131,12 @@ def constants() -> dict[str, str]:
 
     facts = {"models": f"{len(ROBOTS)}"}
     for env_id in ENV_IDS:
-        task = load_task(task_name(env_id))
+        task, short = load_task(env_id), env_id.partition("/")[2].partition("-")[0]
         settings = task.settings_type()
         arm, agent = task.layout_for(settings).size, task.agent_layout_for(settings).size
         sizes = {"arm": arm, "both": 2 * arm, "agent": agent, "adds": agent - arm}
-        facts |= {f"{task.name}_{name}": f"{each}" for name, each in sizes.items()}
-        facts[f"{task.name}_rad_s"] = f"{max(task.limits.speed_rad_s):.1f}"
+        facts |= {f"{short}_{name}": f"{each}" for name, each in sizes.items()}
+        facts[f"{short}_rad_s"] = f"{max(task.limits.speed_rad_s):.1f}"
     for family, tick_s in TICK_S.items():
         name = family.replace("-", "_")
         facts[f"{name}_least_ticks"] = f"{runner.margin_ticks(tick_s) + runner.SHOWN_STATES}"
@@ -160,7 +160,7 @@ def constants() -> dict[str, str]:
         "apart_deg": f"{safety_monitor.APART_RAD * 180 / 3.141592653589793:g}",
         "reduced": {0.5: "half"}[safety_monitor.REDUCED_SCALING],
         "stale_ms": f"{1e3 * arm_sender.STALE_S:g}",
-        "gap_rad": f"{arm_sender.START_GAP_RAD:g}",
+        "gap_mrad": f"{1e3 * arm_sender.START_GAP_RAD:g}",
         "watchdog_hz": f"{arm_process.WATCHDOG_HZ:g}",
         "approach_rad_s": f"{approach.SPEED_RAD_S:g}",
         "approach_m_s": f"{approach.TCP_SPEED_M_S:g}",
@@ -212,7 +212,7 @@ STATEMENTS = [
     (TWO_ARMS, "a joint is more than {deviation_rad} rad from its target for {deviation_states} states"),
     (TWO_ARMS, "a joint is above {hot_c} °C"),
     (TWO_ARMS, "no new RTDE timestamp for {stale_ms} ms"),
-    (TWO_ARMS, "the arm was moved by more than {gap_rad} rad between `make` and the first target"),
+    (TWO_ARMS, "the arm was moved by more than {gap_mrad} mrad before the first target"),
     (TWO_ARMS, "the relative pose of the arms is off by more than {apart_mm} mm or {apart_deg}°"),
     (TWO_ARMS, "arms a watchdog there ({watchdog_hz} Hz)"),
     (TWO_ARMS, "with at most {approach_rad_s} rad/s, and {approach_m_s} m/s at flange, elbow and TCP"),

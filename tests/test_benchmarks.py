@@ -38,7 +38,7 @@ def test_demonstrations_are_imitated_and_evaluated(monkeypatch):
     monkeypatch.syspath_prepend(FOLDER)
     learning = importlib.import_module("learning")
     asked = {"steps": 500, "keywords": {"duration_s": 1.0}, "changes": {"fit_steps": 20, "hidden": (8,)}}
-    monkeypatch.setitem(learning.DEMONSTRATIONS, "SineTracking", asked)
+    monkeypatch.setitem(learning.DEMONSTRATIONS, "DualUR10/SineTracking-v0", asked)
     found = learning.from_demonstrations("DualUR10/SineTracking-v0", 2)
     assert found["steps"] == 500
     assert found["minutes"] > 0.0

@@ -35,7 +35,7 @@ def pipe(path: Path):
 @pytest.mark.parametrize(
     ("name", "read"),
     [
-        ("kinematics.yaml", ur_calibration.read),
+        ("kinematics.yaml", lambda path: ur_calibration.read(path, "ur10")),
         ("data.json", data_file.read),
         ("cell.toml", load_cell_file),
         ("path.csv", read_trajectory),

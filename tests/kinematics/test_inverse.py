@@ -258,15 +258,15 @@ def test_nan_is_refused(solve: object, bad: float) -> None:
     broken = position.copy()
     broken[1, 2] = bad
     with pytest.raises(SettingsError, match="position of pose 1"):
-        solve(broken, rotation, q)
+        solve(broken, rotation, q, NOMINAL_DH)
     broken = rotation.copy()
     broken[1, 2, 0] = bad
     with pytest.raises(SettingsError, match="rotation of pose 1"), np.errstate(invalid="ignore"):
-        solve(position, broken, q)
+        solve(position, broken, q, NOMINAL_DH)
     broken = q.copy()
     broken[0, 0] = bad
     with pytest.raises(SettingsError, match="reference"):
-        solve(position, rotation, broken)
+        solve(position, rotation, broken, NOMINAL_DH)
 
 
 def test_wrong_shapes_and_no_rotation_are_refused() -> None:

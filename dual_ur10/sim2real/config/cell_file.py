@@ -375,7 +375,9 @@ def resolve_cell(cell: object) -> CellConfig:
         return CellConfig(kind="echo")
     if isinstance(cell, os.PathLike) or (isinstance(cell, str) and ("/" in cell or cell.endswith(".toml"))):
         return load_cell_file(os.fspath(cell)).config()
-    raise UnknownNameError("cell", str(cell), ("mujoco", "echo"), "the path of a cell file or a dual_ur10.CellConfig")
+    raise UnknownNameError(
+        "cell", str(cell), ("mujoco", "echo"), "the path of a cell file, such as lab.toml, or a CellConfig"
+    )
 
 
 def _text_of(path: str | Path) -> str:

@@ -110,7 +110,7 @@ def test_no_number_depends_on_parallel_episodes(policy: Any, keywords: dict[str,
             alone.episodes
         )
     if isinstance(policy, Push):
-        assert len({each.steps for each in alone.episodes}) > 2  # or rows would always begin at the same time
+        assert len({each.steps for each in alone.episodes}) > 1  # or rows would always begin at the same time
         assert all(re.search("distance|joint", each.ended_by) for each in alone.cut_short)
         assert alone.cut_short
 
@@ -255,7 +255,8 @@ class Stub(VectorEnv[Any, Any, Any]):
         self.single_action_space = gym.spaces.Box(-1, 1, (2,), np.float32)
         self.action_space = gym.spaces.Box(-1, 1, (num_envs, 2), np.float32)
         task = SimpleNamespace(stages=("gripped", "handed over"), settings=SimpleNamespace(duration_s=duration_s))
-        self.core = SimpleNamespace(timing=SimpleNamespace(period_s=0.5), task=task, stop=lambda reason: None)
+        config, timing = SimpleNamespace(file=None), SimpleNamespace(period_s=0.5)
+        self.core = SimpleNamespace(config=config, timing=timing, task=task, stop=lambda reason: None)
         self.seeds, self.steps = np.full(num_envs, -1), np.zeros(num_envs, dtype=int)
         self.done, self.again = np.ones(num_envs, dtype=bool), np.zeros(num_envs, dtype=bool)
         self.known: set[int] = set()

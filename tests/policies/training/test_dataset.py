@@ -187,7 +187,7 @@ def test_nothing_is_overwritten():
 
 @pytest.mark.parametrize("name", ["", "no version", "a/b", "../x-v0", "a b-v0"])
 def test_illegal_names_are_refused_before_anything_runs(name, monkeypatch):
-    monkeypatch.setattr("dual_ur10.policies.evaluation.evaluate.load", lambda *_, **__: pytest.fail("it ran"))
+    monkeypatch.setattr("dual_ur10.policies.evaluation.evaluate.load_named", lambda *_, **__: pytest.fail("it ran"))
     with pytest.raises(DatasetError, match="no name of a dataset"):
         made(name)
 

@@ -199,8 +199,8 @@ def test_the_mount_stands_where_the_estimate_does(yaw, x, turn):
     left = dataclasses.replace(left, tilt_rad=(0.01, -0.02))
     right = dataclasses.replace(right, tilt_rad=(-0.03, 0.05))
     found = dataclasses.replace(found, pose=right_in_left(left, right))
-    np.testing.assert_allclose(right_in_left(left, found.mount(left)), found.pose, atol=1e-12)
-    np.testing.assert_allclose(found.mount(left).tilt_rad, right.tilt_rad, atol=1e-12)
+    np.testing.assert_allclose(right_in_left(left, found.mount(left, NOMINAL_DH)), found.pose, atol=1e-12)
+    np.testing.assert_allclose(found.mount(left, NOMINAL_DH).tilt_rad, right.tilt_rad, atol=1e-12)
 
 
 @pytest.mark.parametrize(

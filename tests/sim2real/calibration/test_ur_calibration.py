@@ -53,7 +53,7 @@ def chain_of(dh):
 def test_a_calibrated_chain_is_converted_exactly(seed):
     rng = np.random.default_rng(seed)
     given = random_dh(rng)
-    given = type(given)((*given.a_m[:5], 0.0), given.d_m, (*given.alpha_rad[:5], 0.0), given.theta_rad)
+    given = type(given)((*given.a_m[:5], 0.0), given.d_m, (*given.alpha_rad[:5], 0.0), given.theta_rad, robot="ur10")
     found = of_frames(chain_of(given), "ur10")
     q = rng.uniform(-3.0, 3.0, (20, 6))
     np.testing.assert_allclose(flange(q, found), flange(q, given), atol=1e-9)

@@ -575,7 +575,7 @@ def test_another_calibration_is_reported_to_clients(cell):
 
     def flange(reported, q_rad):
         theta, a, d, alpha = (reported[start : start + 6] for start in range(6, 30, 6))
-        return flange_pose(q_rad, DHParameters(a, d, alpha, theta, "ur10"))[0]
+        return flange_pose(q_rad, DHParameters(a, d, alpha, theta, robot="ur10"))[0]
 
     true = kinematics(0)
     assert kinematics(1) == true

@@ -266,7 +266,7 @@ def test_an_arm_that_cannot_be_reached_is_named(cell):
 def test_a_process_that_is_killed_while_it_connects_is_no_slow_network(cell):
     memory, shared = ArmMemory(), CellMemory()
     try:
-        arm = ArmProcess(ArmConnection("left", cell.left, SERVOJ), memory, shared, system=cell.system)
+        arm = ArmProcess(ArmConnection("left", cell.left, SERVOJ, "ur10"), memory, shared, system=cell.system)
         arm.process.kill()
         with pytest.raises(LinkError, match=r"left: its process has ended with code -9 before it was ready"):
             arm.wait_until_ready(30.0)

@@ -204,11 +204,10 @@ def test_46_an_extra_turn_is_undone_completely_or_refused(lab):
     assert f"left turns a joint by up to {6.1 - home:.2f} rad" in asked[0]
 
 
-def test_26_the_confirmation_shows_swapped_arms(lab):
+def test_26_swapped_addresses_are_named_by_their_serial_numbers(lab):
     lab.configure(left={"host": lab.cell.right}, right={"host": lab.cell.left})
-    lab.make(confirm=lambda question: False)
-    with pytest.raises(StartError, match=r"not confirmed|the arms cannot move"):
-        lab.env.reset(seed=0)
+    with pytest.raises(StartError, match=r"swapped addresses: each controller has the serial number of the other arm"):
+        lab.make(confirm=lambda question: False)
     lab.assert_nothing_executed()
 
 

@@ -216,15 +216,18 @@ void step(const Adapter& a, int64_t row, const double* action, double* targets) 
     Plan plan(a, state);
     // The soonest legal meeting. The rest of the last path is among them: without it, arms would catch up later and
     // later, until they are too fast to do so.
-    int64_t rest = a.rest[row], periods = 0;
+    int64_t rest = a.rest[row] / 2, periods = 0, curved = a.rest[row] % 2;
     for (int64_t k = 0; k < a.meetings && !periods; ++k) {
-        if (!a.curved[k] && 0 < rest && rest < a.periods[k]) {
-            if (plan.legal(rest, false, window, scratch, end)) periods = rest;
+        if (a.curved[k] == curved && 0 < rest && rest < a.periods[k]) {
+            if (plan.legal(rest, curved, window, scratch, end)) periods = rest;
             rest = 0;
         }
-        if (!periods && plan.legal(a.periods[k], a.curved[k], window, scratch, end)) periods = a.periods[k];
+        if (!periods && plan.legal(a.periods[k], a.curved[k], window, scratch, end)) {
+            periods = a.periods[k];
+            curved = a.curved[k];
+        }
     }
-    a.rest[row] = periods > 0 ? periods - 1 : 0;
+    a.rest[row] = periods > 1 ? 2 * (periods - 1) + curved : 0;
     if (!periods) {
         const Scratch planned(e.width * JOINTS), known(a.width * JOINTS);
         copy(planned, window, e.width * JOINTS);

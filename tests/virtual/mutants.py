@@ -100,7 +100,7 @@ MUTANTS = (
     Mutant("program is not told of a stop", _RUNNER, "        if self._fault:\n            raise CellFaulted(", "        if False:\n            raise CellFaulted(", _STOPS),
     Mutant("nothing is latched", _LATCH, "        for path in self._paths:\n            with contextlib", "        for path in ():\n            with contextlib", _STOPS),
     Mutant("a latched stop does not prevent a start", _LATCH, "        if fault is not None:\n", "        if False:\n", _STOPS),
-    Mutant("two programs get the arms", _LATCH, "            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)\n        except", "            pass\n        except", ("second",)),
+    Mutant("two programs get the arms", _LATCH, "            self._take(file)\n", "            pass\n", ("second",)),
     Mutant("supervisor ignores the policy's silence", _MONITOR, "POLICY_S: Final = 0.5", "POLICY_S: Final = 50.0", ("policy",)),
     Mutant("a refused action does not stop the arms", _CORE, '            cell.stop(f"the policy\'s action was refused: {error}")\n', "", ("policy",)),
     Mutant("a paused program may continue", _ENFORCER, "                if not ended[arm]:\n                    self._request_stop(arm)", "                if not ended[arm]:\n                    pass", test="test_ends.py::test_33_the_dashboard_ends_a_program_paused_by_a_stop"),

@@ -48,7 +48,8 @@ _ROUNDING = 1e-6  # bounds are float32 where a policy sees them
 
 _PURSUIT_S = 0.2  # until arms that are far from their commands have the speed to approach them
 
-_CHECK_S, _CHECK_BRAKES_S = 0.008, 0.04  # between two instants of later periods at which limits are checked
+# Between two instants of later periods at which limits are checked: at targets, between them, and of brakes.
+_CHECK_S, _CHECK_BETWEEN_S, _CHECK_BRAKES_S = 0.008, 0.001, 0.04
 
 _GOAL_MARGIN_RAD = 1e-3  # goals stay this far inside the range that the limiter enforces
 
@@ -144,7 +145,7 @@ class ServojAdapter:
         upright = quat_from_rotvec(np.array([[-x, -y, 0.0] for x, y in tilt_rad]))
         self._to_base = quat_to_matrix(quat_multiply(quat_from_rotvec(rotations), upright))
         self._state: Array = np.zeros((n, _STATE, 12))
-        self._rest = np.zeros(n, dtype=np.int64)  # periods until the last path's meeting; 0: there is none
+        self._rest = np.zeros(n, dtype=np.int64)  # of the last path: twice the periods left, plus 1 if curved
         self._commanded: Array = np.zeros((n, 2, 6))
         self._action: Array = np.zeros((n, 2, self.action_size))
         self._cartesian_goal: Array = np.zeros((n, 12))
@@ -242,7 +243,7 @@ class ServojAdapter:
             derivative = np.diff(derivative, axis=0) / tick_s
             rows.append(derivative[instants + HISTORY - 1 - kind])
             kinds.append(np.full(len(instants), kind))
-        between = self._between(periods, 1, periods)
+        between = self._between(periods, 1, periods)[:: max(1, round(_CHECK_BETWEEN_S / self.period_s * _PARTS))]
         rows.append(between)
         kinds.append(np.full(len(between), 1))
         brakes, of_brakes = self.envelope.of_brakes()

@@ -86,7 +86,7 @@ def shorten_slice(slice_s: float = LONGER_SLICE_S, *, inherited: bool) -> float:
     """Ask for a short time slice for the calling thread. A refusal changes nothing.
 
     Args:
-        slice_s: Time slice, s; 0: leave it.
+        slice_s: Time slice, s; 0: the system's ordinary one.
         inherited: Threads and processes that it starts from now on get it, too. Otherwise they begin with the
             system's ordinary scheduling.
 

@@ -341,7 +341,7 @@ class ArmSender:
             StopError: A process requests a stop, or no longer runs.
         """
         stop_requested = self.memory.stop_requested
-        if self.cell.fault:  # which is set before a stop is requested
+        if self.cell.fault:  # the supervisor requests a stop before it sets one
             raise StopError(self.cell.fault)
         if stop_requested:
             raise StopError(_ASKED)

@@ -18,6 +18,7 @@ from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.processes.system import LOCAL, System
 
 _MOST_BYTES: Final = 64 * 1024
+_TRIES: Final = 4  # to take a lock
 
 
 def _keys(cell: CellFile) -> list[str]:
@@ -163,7 +164,7 @@ class CellLock:
         self._keys = _keys(cell)
         self._pid = os.getpid()
         self.left_moving = False
-        self._folder = system.state_folder()
+        self._folder, self._clock = system.state_folder(), system.clock
         try:
             for arm, entry in zip(ARMS, cell.arms, strict=True):
                 self._lock(self._folder / f"lock-{entry.host}", arm, entry.host)
@@ -178,7 +179,7 @@ class CellLock:
             raise SettingsError(f"cannot keep a lock in {path}: {error}. Remove it") from error
         file = os.fdopen(handle, "r+")
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            self._take(file)
         except BlockingIOError:
             holder = (file.read(256).split() or ["unknown"])[0]
             file.close()
@@ -195,11 +196,19 @@ class CellLock:
             self._lock(path, arm, host)
             return
         key = self._keys[len(self._files)]
-        moving = file.read(512).split()[1:] == ["moving", key]
+        moving = file.readline(512).split()[1:] == ["moving", key]  # an interrupted `_write` leaves more lines
         self.left_moving |= moving
         self._files.append(file)
         # The note of moving arms stays until it is latched as a fault or a person clears it.
         _write(file, f"{os.getpid()} moving {key}\n" if moving else f"{os.getpid()}\n")
+
+    def _take(self, file: IO[str]) -> None:
+        """Take the lock. `clear_ended` of a starting emulator holds it for a moment."""
+        for _ in range(_TRIES):
+            with contextlib.suppress(BlockingIOError):
+                return fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            self._clock.sleep(0.01)
+        return fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
     def note_moving(self) -> None:
         """Note on the disk that the arms move from now on, for the next program in case this one is killed.

@@ -341,14 +341,15 @@ def stop_programs(arms: Sequence[ProgramLink], clock: Clock) -> tuple[str, ...]:
     Returns:
         Names of the arms that did not report that their program has ended.
     """
-    pending, unseen = [], []
+    pending, mute = [], []
     for arm in arms:
         try:
             arm.values["command"] = Command.STOP
             arm.send()
             pending.append(arm)
         except DualUR10Error:
-            unseen.append(_halt(arm))
+            mute.append(arm)
+    unseen = [_halt(arm) for arm in mute]  # a silent dashboard must not delay the other arm
     end_s = clock.now_s() + _STOP_S
     while pending:
         for arm in list(pending):

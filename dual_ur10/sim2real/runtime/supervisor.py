@@ -12,7 +12,7 @@ import logging
 from collections.abc import Sequence
 from typing import Final
 
-from dual_ur10.errors import LinkError
+from dual_ur10.errors import LinkError, SettingsError
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.control.time_scaling import scaling_from_slider
@@ -177,7 +177,7 @@ class Supervisor:
         self._wait_for_stop()
         failed = [memory.text for memory in self._arms if memory.phase == Phase.FAULTED] + self._enforcer.unended
         if failed and self._cell.begin_s:
-            Latch(self._file, self._system).set(self._cell.fault or root_cause(failed))
+            self._latch(self._cell.fault or root_cause(failed))
         self._enforcer.close()
 
     def _stop(self, reason: str) -> None:
@@ -198,10 +198,7 @@ class Supervisor:
         log.error("both arms were stopped: %s", reason)
 
     def _latch(self, reason: str) -> None:
-        try:
-            Latch(self._file, self._system).set(reason)
-        except OSError as error:  # the lock keeps its note of moving arms
-            log.error("the stop of both arms cannot be latched: %s", error)
+        latch(self._file, reason, self._system)
 
     def _wait_for_stop(self) -> None:
         """Wait for the end of both programs, and enforce it."""
@@ -260,6 +257,14 @@ class SupervisorProcess:
             self._clock.sleep(0.005)
 
 
+def latch(file: CellFile, reason: str, system: System) -> None:
+    """Latch a stop, or log that it cannot be: the lock keeps its note of moving arms then."""
+    try:
+        Latch(file, system).set(reason)
+    except (OSError, SettingsError) as error:
+        log.error("the stop of both arms cannot be latched: %s", error)
+
+
 def main(
     file: CellFile, settings: MonitorSettings, names: tuple[str, ...], parent: int, *, system: System = LOCAL
 ) -> None:
@@ -271,4 +276,4 @@ def main(
     except Exception as error:  # of any kind: nothing moves without a supervisor
         cell.enter_fault(f"the supervisor failed: {type(error).__name__}: {error}")
         if cell.begin_s:
-            Latch(file, system).set(cell.fault)
+            latch(file, cell.fault, system)

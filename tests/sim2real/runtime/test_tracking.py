@@ -174,6 +174,21 @@ def test_a_slider_lets_a_controller_lag_for_longer():
     assert [following(state(first)) for _ in range(5)] == [None] * 5
 
 
+@pytest.mark.parametrize("profile", [ServojProfile("cb3", 0.2, 100.0), ServojProfile("cb3", 0.15, 178.0), *PROFILES])
+def test_a_joint_that_stops_from_full_speed_is_followed_slowly(profile):
+    """Without compensation, also where the law has a double pole."""
+    following, law = Following(profile), ServojLaw(profile.lookahead_s, profile.gain).transition(profile.tick_s)
+    position, error = -2.5, np.array([-profile.lookahead_s, 1.0]) * 2.5
+    for number in range(round(2.5 / profile.tick_s)):
+        time_s = number * profile.tick_s
+        step = profile.tick_s * min(2.5, max(0.0, 2.5 - 10.0 * (time_s - 1.0)))
+        position += step
+        following.sent(off(5, position).tolist(), number)
+        error = law @ (error - [step, 0.0])
+        if time_s > 0.9:
+            assert following(state(off(5, position + error[0]))) is None
+
+
 @pytest.mark.parametrize("profile", PROFILES)
 def test_a_controller_that_is_late_was_not_replaced(profile):
     following = Following(profile)

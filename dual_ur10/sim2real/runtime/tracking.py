@@ -144,16 +144,16 @@ class Following:
 def _lag_and_overshoot(servoj: ServojProfile) -> tuple[float, float]:
     """Return the longest lag of the servoj law, s, and its overshoot, rad.
 
-    The lag is the lookahead, or longer: until what is left of the speed once targets rest is within the slack, of
-    1 rad/s by the law's slowest decay, and of a joint's hard speed by the law itself. The overshoot is twice that of a
-    step, of the distance by which a joint is behind at the hard acceleration.
+    The lag is the lookahead, or longer: until what is left of 1 rad/s, once targets rest, is within the slack by the
+    law's slowest decay. A law that does not oscillate begins more slowly: there it is what is left of a joint's hard
+    speed. The overshoot is twice that of a step, of the distance by which a joint is behind at the hard acceleration.
     """
     damping, frequency = servoj.damping, math.sqrt(servoj.gain)
     slowest_s = 1.0 / (frequency * (damping - math.sqrt(max(damping**2 - 1.0, 0.0))))
     lag_s = max(servoj.lookahead_s, slowest_s * math.log(servoj.lookahead_s / _SLACK_RAD))
     law = ServojLaw(servoj.lookahead_s, servoj.gain)
     left = law.transition(lag_s) @ np.array([-servoj.lookahead_s, 1.0]) * HARD_SPEED_RAD_S.max()
-    while abs(left[0]) > _SLACK_RAD:
+    while damping >= 1.0 and abs(left[0]) > _SLACK_RAD:
         left, lag_s = law.transition(servoj.tick_s) @ left, lag_s + servoj.tick_s
     part = math.exp(-math.pi * damping / math.sqrt(1.0 - damping**2)) if damping < 1.0 else 0.0
     return lag_s, 2.0 * part * HARD_ACCELERATION_RAD_S2 / servoj.gain

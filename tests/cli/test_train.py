@@ -35,7 +35,6 @@ def run(*arguments):
         (("--resume", "x", "--seed", 5, "--steps", 9, "--set", "a=1"), "leave out --seed, --set. Only --steps and"),
         (("--resume", "no_such_folder"), "is no folder of a training"),
         (("SineTracking", "--algo", "ppo", "--dataset", "a/b-v0"), "learns from no dataset"),
-        (("SineTracking", "--init", "no_such_folder"), "no_such_folder cannot be read as a checkpoint"),
     ],
 )
 def test_a_bad_argument_is_one_line(arguments, message, tmp_path, monkeypatch):

@@ -25,6 +25,7 @@ class Lab(FaultLab):
     """Lab on an emulated cell: real processes, in real time."""
 
     wire = Wire
+    clearing = "cell clear"  # in the text of a latched stop
 
     def __init__(self, folder, task="SineTracking", **options):
         self.path = folder / f"lab-{task}-{options.get('family', 'cb3')}.toml"

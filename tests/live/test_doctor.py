@@ -9,7 +9,7 @@ from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
 
 def test_a_cell_file_states_what_is_expected(tmp_path, monkeypatch):
     monkeypatch.setattr("dual_ur10.sim2real.commissioning.findings.MOST_ROUND_TRIP_S", 10.0)
-    monkeypatch.setattr(doctor, "stream_findings", lambda *_: [])
+    monkeypatch.setattr(doctor, "stream_findings", lambda *_, **__: [])
     file = tmp_path / "cell.toml"
     with EmulatedCell(plant="nominal", cell=str(file)) as cell:
         done = CliRunner().invoke(cli.app, ["doctor", str(file)], env={"COLUMNS": "250"})

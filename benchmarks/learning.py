@@ -44,7 +44,7 @@ from dual_ur10.policies.evaluation.results import Evaluation
 from dual_ur10.policies.learned.checkpoint import read_manifest
 from dual_ur10.policies.registry import shipped_folder, shipped_names
 from dual_ur10.policies.training import state
-from dual_ur10.policies.training.settings import SETTINGS, defaults
+from dual_ur10.policies.training.settings import defaults, task_settings
 from dual_ur10.policies.training.train import train
 
 PARTS = ("shipped", "range", "wide", "cell", "from_nothing", "from_demonstrations")
@@ -96,7 +96,7 @@ def main() -> None:
                         found.update(row)
                     else:
                         results[f"{key}/{preset}"] = row
-            if "range" in args.parts and "random_path" in SETTINGS[env_id].keywords:
+            if "range" in args.parts and "random_path" in task_settings(env_id).keywords:
                 found["range"] = measured(env_id, name, "range", "mild", args.episodes, random_path=True)
             if "wide" in args.parts:
                 found["wide"] = measured(env_id, name, "wide", "wide", args.episodes)

@@ -1,22 +1,109 @@
-"""Version of the package, ids of the registered environments, and their shorter names."""
+"""Version of the package, registered tasks with what belongs to each, and shorter names of their ids."""
 
 from __future__ import annotations
 
-from typing import Final
+import dataclasses
+import importlib
+import logging
+from collections.abc import Mapping
+from typing import Any, Final
 
-from dual_ur10.errors import UnknownNameError
+from dual_ur10.errors import SettingsError, UnknownNameError
 
 __version__ = "0.1.0"
 
-ENTRY_POINTS: Final = {
-    "DualUR10/SineTracking-v0": "dual_ur10.envs.tasks.sine_tracking.task:SineTracking",
-    "DualUR10/SyncCarry-v0": "dual_ur10.envs.tasks.sync_carry.task:SyncCarry",
-    "DualUR10/Handover-v0": "dual_ur10.envs.tasks.handover.task:Handover",
-}
-"""Task class of each id, as "module:class"; `dual_ur10.registration.register_task` adds to them."""
+ENTRY_POINT_GROUP: Final = "dual_ur10.tasks"
+"""Group of entry points by which an installed package brings tasks: each names a module that registers them."""
 
-ENV_IDS: Final = tuple(ENTRY_POINTS)
+LEARNED_NAMES: Final = ("learned", "learned-two-agents")
+"""Names of learned policies that a task may bring: one network for both arms, and one network for each arm."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TaskEntry:
+    """Registered task. All that it names is imported when it is needed.
+
+    Attributes:
+        task: Subclass of `dual_ur10.envs.tasks.task.Task`, "module:Class".
+        scripted: Scripted policies, "module:Class", by action mode; that of "" is for every mode without its own.
+        training: Settings of trainings: "module:NAME" of a `dual_ur10.policies.training.settings.TaskSettings`, such
+            settings, or None for general ones.
+        learned: Folders of learned policies, "package:folder", by the names of `LEARNED_NAMES`.
+    """
+
+    task: str
+    scripted: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    training: Any = None
+    learned: Mapping[str, str] = dataclasses.field(default_factory=dict)
+
+
+_TASKS, _SCRIPTED, _LEARNED = "dual_ur10.envs.tasks", "dual_ur10.policies.scripted", "dual_ur10.policies.learned"
+_SETTINGS = "dual_ur10.policies.training.settings"
+
+TASKS: Final = {
+    "DualUR10/SineTracking-v0": TaskEntry(
+        task=f"{_TASKS}.sine_tracking.task:SineTracking",
+        scripted={"": f"{_SCRIPTED}.sine_tracking:SineTrackingPolicy"},
+        training=f"{_SETTINGS}:SINE_TRACKING",
+        learned={
+            "learned": f"{_LEARNED}:learned_policies/sine_tracking",
+            "learned-two-agents": f"{_LEARNED}:learned_policies/sine_tracking_two_agents",
+        },
+    ),
+    "DualUR10/SyncCarry-v0": TaskEntry(
+        task=f"{_TASKS}.sync_carry.task:SyncCarry",
+        scripted={
+            "": f"{_SCRIPTED}.sync_carry:SyncCarryPolicy",
+            "tcp_delta": f"{_SCRIPTED}.goal_follower:SyncCarryFollower",
+        },
+        training=f"{_SETTINGS}:SYNC_CARRY",
+        learned={"learned": f"{_LEARNED}:learned_policies/sync_carry"},
+    ),
+    "DualUR10/Handover-v0": TaskEntry(
+        task=f"{_TASKS}.handover.task:Handover",
+        scripted={
+            "": f"{_SCRIPTED}.handover:HandoverPolicy",
+            "tcp_delta": f"{_SCRIPTED}.goal_follower:HandoverFollower",
+        },
+        training=f"{_SETTINGS}:HANDOVER",
+        learned={"learned": f"{_LEARNED}:learned_policies/handover"},
+    ),
+}
+"""Tasks by id; `dual_ur10.registration.register` adds to them."""
+
+ENV_IDS: Final = tuple(TASKS)
 """Ids of this package. An id is a promise: any change of results gets a new version."""
+
+FAILED_ENTRY_POINTS: Final[dict[str, str]] = {}
+"""Reasons for which entry points of `discover` could not be loaded, by "name = value"."""
+
+_loaded: set[str] = set()
+
+
+def discover() -> None:
+    """Load the entry points of `ENTRY_POINT_GROUP`, each once, so that the tasks of installed packages are registered.
+
+    One that fails is kept in `FAILED_ENTRY_POINTS`, and reported as a warning; the others are loaded nevertheless.
+    """
+    from importlib.metadata import entry_points  # not at import: the processes of arms do without
+
+    for point in entry_points(group=ENTRY_POINT_GROUP):
+        name = f"{point.name} = {point.value}"
+        if name in _loaded:
+            continue
+        _loaded.add(name)
+        try:
+            point.load()
+        except Exception as error:  # a package of others may raise anything
+            FAILED_ENTRY_POINTS[name] = f"{type(error).__name__}: {error}"
+            logging.getLogger(__name__).warning("the entry point %s of %s failed: %s", name, ENTRY_POINT_GROUP, error)
+
+
+def is_registered(env_id: str) -> bool:
+    """Return True if this is the full id of a task, also of one that an installed package brings."""
+    if env_id not in TASKS:
+        discover()
+    return env_id in TASKS
 
 
 def env_id_of(name: str) -> str:
@@ -24,20 +111,61 @@ def env_id_of(name: str) -> str:
 
     The namespace, the version or both may be left out: "Handover", "Handover-v0" and "DualUR10/Handover-v0" are the
     same. A name without a namespace means the task of this package, if it has one. A name without a version means the
-    newest.
+    newest. As for `gym.make`, "module:id" imports the module first. For a name that is unknown, the entry points of
+    installed packages are loaded.
 
     Raises:
         UnknownNameError: There is no such environment, or several namespaces other than that of this package have it.
+        SettingsError: The module before the colon cannot be imported.
     """
-    if name in ENTRY_POINTS:
+    module, colon, name = name.rpartition(":")
+    if colon:
+        try:
+            importlib.import_module(module)
+        except (ImportError, ValueError) as error:
+            raise SettingsError(
+                f"the module {module!r}, which is to register {name!r}, cannot be imported: {error}. Run this where "
+                "Python finds it, or install its package"
+            ) from error
+    if name in TASKS:
         return name
-    fitting = [env_id for env_id in ENTRY_POINTS if name in _short_forms(env_id)]
-    fitting = [env_id for env_id in fitting if env_id in ENV_IDS] or fitting
+    fitting = _fitting(name)
+    if not fitting:
+        discover()
+        fitting = _fitting(name)
     if len({env_id.split("/")[0] for env_id in fitting}) != 1:
-        raise UnknownNameError("environment", str(name), fitting or list(ENTRY_POINTS))
+        failed = "".join(f"; the tasks of {point} are missing, {why}" for point, why in FAILED_ENTRY_POINTS.items())
+        other = f"module:id of a module that registers it{failed}"
+        raise UnknownNameError("environment", str(name), fitting or list(TASKS), "" if fitting else other)
     return max(fitting, key=lambda env_id: int(env_id.rsplit("-v", 1)[1]))
+
+
+def _fitting(name: str) -> list[str]:
+    """Return the ids that a shorter name may mean."""
+    fitting = [env_id for env_id in TASKS if name in _short_forms(env_id)]
+    return [env_id for env_id in fitting if env_id in ENV_IDS] or fitting
 
 
 def _short_forms(env_id: str) -> tuple[str, str, str]:
     versioned, unversioned = env_id.split("/")[1], env_id.rsplit("-v", 1)[0]
     return versioned, unversioned, unversioned.split("/")[1]
+
+
+def load_object(path: str, kind: str) -> Any:
+    """Import an object, "module:name".
+
+    Args:
+        path: Module and name.
+        kind: Noun for the message, such as "the task of MyLab/Reach-v0".
+
+    Raises:
+        SettingsError: The module cannot be imported, or has no such name.
+    """
+    module, name = path.split(":")
+    try:
+        return getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError) as error:
+        raise SettingsError(
+            f"{kind}, {path!r}, cannot be imported: {error}. Run this where Python finds {module!r}, and name what it "
+            "defines"
+        ) from error

@@ -8,14 +8,25 @@ from typing import ClassVar
 import gymnasium as gym
 import numpy as np
 
-from dual_ur10.assets.settings import HOME_Q_RAD
-from dual_ur10.envs.tasks.observation_layout import ARM_FIELDS, Field, ObservationLayout, arm_values
-from dual_ur10.envs.tasks.task import Outcome, Task, Timing, gaussian
-from dual_ur10.kinematics.frames import Frames
-from dual_ur10.registration import register_task
-from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
-from dual_ur10.sim2real.control.limits import MotionLimits
-from dual_ur10.types import Array, Rows
+from dual_ur10.tasks import (
+    ARM_FIELDS,
+    HOME_Q_RAD,
+    Array,
+    CellConfig,
+    CellState,
+    Field,
+    Frames,
+    MotionLimits,
+    ObservationLayout,
+    Outcome,
+    Rows,
+    Start,
+    Task,
+    Timing,
+    arm_values,
+    gaussian,
+    register,
+)
 
 
 @dataclass(frozen=True)
@@ -33,6 +44,7 @@ class ReachSettings:
     duration_s: float = 4.0
 
 
+@register("MyLab/Reach-v0")
 class Reach(Task[ReachSettings, Array]):
     """Both flanges reach a random goal each.
 
@@ -76,8 +88,6 @@ class Reach(Task[ReachSettings, Array]):
         terms = gaussian(measured, margin=0.1)[..., None]
         return Outcome(terms, success, over, {"distance_m": measured})
 
-
-register_task("MyLab/Reach-v0", f"{__name__}:Reach")
 
 if __name__ == "__main__":
     env = gym.make("MyLab/Reach-v0", radius_m=0.05)

@@ -151,7 +151,7 @@ FLOORS = (
     ("policies",),
     ("sim2real.analysis", "sim2real.emulator"),
     ("sim2real.virtual",),
-    ("testing",),
+    ("tasks", "testing"),
     ("cli", "__main__"),
 )
 """Each room imports its own floor and those above it in this list, never one below."""

@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from typing import Any, ClassVar
 
 import gymnasium as gym
 import pettingzoo
 import pytest
 
-from dual_ur10 import policies
+from dual_ur10 import ids, policies
 from dual_ur10.envs import dm_env, parallel_env
 from dual_ur10.envs.core.setup import load_task
 from dual_ur10.envs.tasks.sine_tracking.task import SineTracking
 from dual_ur10.errors import CheckpointError, SettingsError, UnknownNameError
-from dual_ur10.ids import ENTRY_POINTS, env_id_of
+from dual_ur10.ids import TASKS, env_id_of
+from dual_ur10.policies import evaluate
 from dual_ur10.policies.learned import checkpoint
 from dual_ur10.policies.learned.signature import view_of_env
-from dual_ur10.policies.training.settings import defaults
-from dual_ur10.registration import register_task
+from dual_ur10.policies.scripted.sine_tracking import SineTrackingPolicy
+from dual_ur10.policies.training.settings import Imitation, Reinforcement, TaskSettings, defaults, task_settings
+from dual_ur10.registration import register as register_task
 from dual_ur10.sim2real.analysis.reconstruction import keywords_of
 from dual_ur10.sim2real.recording.reader import read_run
 from tests.policies.learned.checkpoints import parts
@@ -40,9 +45,9 @@ class LaterReach(SineTracking):
 
 @pytest.fixture
 def register():
-    """Return `register_task`; what it registers is forgotten after the test."""
+    """Return `register`; what it registers is forgotten after the test."""
     registries: list[dict[str, Any]] = [
-        *(ENTRY_POINTS, gym.registry),
+        *(TASKS, ids.FAILED_ENTRY_POINTS, gym.registry),
         *(pettingzoo.parallel_registry, pettingzoo.aec_registry),
     ]
     before = [set(each) for each in registries]
@@ -99,16 +104,130 @@ def test_a_version_of_our_own_task_has_no_policies_of_the_one_before(register):
     for name in ("scripted", "learned"):
         with pytest.raises(UnknownNameError, match=f"unknown policy of DualUR10/Handover-v1 '{name}'"):
             policies.load(name, "DualUR10/Handover-v1")
-    with pytest.raises(SettingsError, match="no settings of a training for DualUR10/Handover-v1"):
-        defaults("DualUR10/Handover-v1")
+    assert defaults("DualUR10/Handover-v1").settings == Imitation()
 
 
-def test_an_own_task_has_no_scripted_policy_and_no_settings(both):
+def test_a_task_that_brings_nothing_has_no_policies_and_general_settings(both):
     for name in policies.NAMES:
         with pytest.raises(UnknownNameError, match=f"unknown policy of {V0} '{name}': use the path of a checkpoint"):
             policies.load(name, V0)
-    with pytest.raises(SettingsError, match=f"no settings of a training for {V0}.* DualUR10/SineTracking-v0"):
-        defaults(V0, "ppo")
+    asked = defaults(V0, "ppo")
+    assert (asked.settings, asked.steps, asked.agents) == (Reinforcement(), 1_000_000, "joint")
+
+
+class Tracking(SineTrackingPolicy):
+    """Scripted policy of the laboratory."""
+
+
+def test_a_decorator_registers_a_class_with_what_belongs_to_it(register):
+    mine = TaskSettings(steps={"bc": 77}, imitation=Imitation(hidden=(9,)))
+    assert register(V0, scripted={"joint_position": "Tracking"}, training=mine)(Reach) is Reach
+    assert load_task("Reach") is Reach
+    assert type(policies.load("scripted", V0, action_mode="joint_position")) is Tracking
+    with pytest.raises(SettingsError, match="is for joint_position, not for 'tcp_delta'"):
+        policies.load("scripted", V0, action_mode="tcp_delta")
+    asked = defaults(V0, "bc")
+    assert (asked.steps, asked.settings.hidden) == (77, (9,))
+    assert evaluate(V0, "scripted", episodes=1, env_kwargs={"action_mode": "joint_position"}).success_rate == 1.0
+    register(V1, scripted=Tracking, learned={"learned": "dual_ur10.policies.learned:learned_policies/sine_tracking"})(
+        LaterReach
+    )
+    assert policies.registry.names_for(V1) == ["scripted", "learned"]
+    with pytest.raises(CheckpointError, match="is of DualUR10/SineTracking-v0"):
+        policies.load("learned", V1)
+
+
+@pytest.mark.parametrize(
+    ("keywords", "text"),
+    [
+        ({"scripted": "not a class"}, "must be a class"),
+        ({"scripted": {"": 3}}, "must be a class"),
+        ({"training": "a b"}, "must be a class"),
+        ({"learned": {"learned": "no folder"}}, "must be package:folder"),
+        ({"learned": {"best": "x:y"}}, "unknown learned policy of MyLab/Reach-v0 'best'"),
+    ],
+)
+def test_bad_registrations_are_refused(register, keywords, text):
+    with pytest.raises((SettingsError, UnknownNameError), match=text):
+        register(V0, **keywords)(Reach)
+    assert V0 not in TASKS
+
+
+def test_a_class_within_a_function_cannot_be_registered(register):
+    class Local(SineTracking):
+        pass
+
+    with pytest.raises(SettingsError, match="defined within a class or function"):
+        register(V0)(Local)
+
+
+def test_the_namespace_of_this_package_is_its_own(register):
+    with pytest.raises(SettingsError, match="namespace DualUR10 is that of this package"):
+        register("DualUR10/Reach-v0")(Reach)
+
+
+def test_what_is_registered_is_checked_when_it_is_needed(register):
+    register(V0, "no_such_module_here:Reach", training="no_such_module_here:PPO")
+    register(V1, f"{__name__}:Tracking", training=f"{__name__}:V0")
+    with pytest.raises(SettingsError, match=r"the task of MyLab/Reach-v0.* cannot be imported: No module named"):
+        gym.make(V0)
+    with pytest.raises(SettingsError, match=r"is no subclass of dual_ur10.envs.tasks.task.Task"):
+        gym.make(V1)
+    with pytest.raises(SettingsError, match="must be a TaskSettings"):
+        task_settings(V1)
+
+
+PACKAGE = """
+from dual_ur10.envs.tasks.sine_tracking.task import SineTracking
+from dual_ur10.policies.scripted.sine_tracking import SineTrackingPolicy
+from dual_ur10.registration import register
+
+@register("Plugin/Wave-v0", scripted=SineTrackingPolicy)
+class Wave(SineTracking):
+    pass
+"""
+
+
+@pytest.fixture
+def installed(register, tmp_path, monkeypatch):
+    """Install a package with a task, another with the same id, and one that cannot be imported; return their folder."""
+    (tmp_path / "wave_task.py").write_text(PACKAGE)
+    (tmp_path / "wave_again.py").write_text(PACKAGE)
+    (tmp_path / "waves-1.dist-info").mkdir()
+    (tmp_path / "waves-1.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: waves\nVersion: 1\n")
+    (tmp_path / "waves-1.dist-info" / "entry_points.txt").write_text(
+        "[dual_ur10.tasks]\nbroken = no_such_module_here\nwave = wave_task\nwave_again = wave_again\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(ids, "_loaded", set())
+    yield tmp_path
+    for name in ("wave_task", "wave_again"):
+        sys.modules.pop(name, None)
+
+
+def test_tasks_of_installed_packages_are_found_by_an_unknown_name(installed):
+    assert env_id_of("Wave") == "Plugin/Wave-v0"
+    assert policies.load("scripted", "Plugin/Wave-v0").timing.period_s == 0.04
+    failed = ids.FAILED_ENTRY_POINTS
+    assert sorted(failed) == ["broken = no_such_module_here", "wave_again = wave_again"]
+    assert "registered by another package" in failed["wave_again = wave_again"]
+    with pytest.raises(UnknownNameError, match="the tasks of broken = no_such_module_here are missing, ModuleNotFound"):
+        env_id_of("Wav1")
+
+
+def test_the_command_line_knows_tasks_of_installed_packages(installed):
+    command = [sys.executable, "-m", "dual_ur10"]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(installed), *sys.path])}
+    done = subprocess.run([*command, "list"], env=environment, capture_output=True, text=True, timeout=120)
+    assert "Plugin/Wave-v0" in done.stdout
+    assert "the entry point broken = no_such_module_here failed" in " ".join(done.stdout.split())
+
+
+def test_a_name_may_begin_with_the_module_that_registers_it(installed):
+    assert env_id_of("wave_task:Plugin/Wave-v0") == "Plugin/Wave-v0"
+    assert gym.make("wave_task:Plugin/Wave-v0").unwrapped.core.setup.env_id == "Plugin/Wave-v0"
+    with pytest.raises(SettingsError, match="module 'no_such_module_here', which is to register 'A/B-v0', cannot be"):
+        env_id_of("no_such_module_here:A/B-v0")
 
 
 def test_a_name_without_a_version_is_the_newest(register):
@@ -137,7 +256,7 @@ def test_a_name_alone_stays_that_of_this_package(register):
 
 def test_an_id_keeps_its_class(both, register):
     register(V0, f"{__name__}:Reach")  # again, as by a second import
-    with pytest.raises(SettingsError, match="register a new version"):
+    with pytest.raises(SettingsError, match="or a new version"):
         register(V0, f"{__name__}:LaterReach")
     assert load_task(V0) is Reach
 

@@ -125,14 +125,14 @@ class Equipment:
 
     Attributes:
         grippers: A parallel-jaw gripper on each flange.
-        prop: One of [PROPS][dual_ur10.assets.settings.PROPS] on the table, or None.
+        prop: One of `PROPS` on the table, or None.
         welded: Both grippers are welded to the bar, instead of holding it by friction.
         grip_force_n: Force with which each finger presses.
 
     Raises:
         UnknownNameError: `prop` is no name of a prop.
         SettingsError: A switch is not True or False, there is nothing to weld, or `grip_force_n` is not within
-            [GRIP_FORCE_N][dual_ur10.assets.settings.GRIP_FORCE_N].
+            `GRIP_FORCE_N`.
     """
 
     grippers: bool = False

@@ -8,50 +8,30 @@ Learned policies come with the package in `learned/learned_policies`, one folder
 
 from __future__ import annotations
 
-import importlib
+import inspect
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
-from dual_ur10.errors import PolicyError, SettingsError, UnknownNameError
-from dual_ur10.ids import ENTRY_POINTS, env_id_of
+from dual_ur10.errors import DualUR10Error, PolicyError, SettingsError, UnknownNameError
+from dual_ur10.ids import LEARNED_NAMES, TASKS, env_id_of, load_object
 from dual_ur10.policies.baselines import BASELINES
 from dual_ur10.policies.policy import Policy, policy_name
 from dual_ur10.sim2real.config.cell import CellConfig
 
-_SCRIPTED: Final = {
-    "DualUR10/SineTracking-v0": "sine_tracking:SineTrackingPolicy",
-    "DualUR10/SyncCarry-v0": "sync_carry:SyncCarryPolicy",
-    "DualUR10/Handover-v0": "handover:HandoverPolicy",
-}
-"""Classes by id, for any action mode."""
-
-_SCRIPTED_TCP: Final = {
-    "DualUR10/SyncCarry-v0": "goal_follower:SyncCarryFollower",
-    "DualUR10/Handover-v0": "goal_follower:HandoverFollower",
-}
-"""Classes by id, for `action_mode="tcp_delta"` in place of those."""
-
 _OF_INTERFACES: Final = ("max_episode_steps", "render_mode", "threads")
 """Keywords of `gym.make` and `gym.make_vec` on which no policy depends."""
 
-_SHIPPED: Final = {
-    "learned": {
-        "DualUR10/SineTracking-v0": "sine_tracking",
-        "DualUR10/SyncCarry-v0": "sync_carry",
-        "DualUR10/Handover-v0": "handover",
-    },
-    "learned-two-agents": {"DualUR10/SineTracking-v0": "sine_tracking_two_agents"},
-}
-"""Folders by name and id. "learned": one network for both arms; "learned-two-agents": one network for each arm."""
-
-NAMES: Final = ("scripted", *_SHIPPED)
+NAMES: Final = ("scripted", *LEARNED_NAMES)
 """Names that `load` accepts. Not every environment has a policy of every name."""
 
+
+_ARGUMENTS: Final = ("timing", "action_mode", "mounts", "limits", "settings")
+"""Arguments of a scripted policy, by which it knows the environment; see `ScriptedPolicy`."""
 
 OTHERS: Final = "the path of a checkpoint or module:Class"
 """Further forms that `load` accepts, for messages."""
@@ -86,21 +66,21 @@ def shipped_folder(name: str, env_id: str) -> Path:
         UnknownNameError: No learned policy has this name for this environment.
     """
     env_id = env_id_of(env_id)
-    folder = _SHIPPED.get(name, {}).get(env_id)
-    if folder is None:
+    place = TASKS[env_id].learned.get(name)
+    if place is None:
         raise _missing(name, env_id)
-    return Path(str(files("dual_ur10.policies.learned") / "learned_policies" / folder))
+    package, folder = place.split(":")
+    return Path(str(files(package) / folder))
 
 
 def shipped_names(env_id: str) -> list[str]:
     """Return the names of the learned policies that come with the package for an environment."""
-    env_id = env_id_of(env_id)
-    return [name for name, folders in _SHIPPED.items() if env_id in folders]
+    return [name for name in LEARNED_NAMES if name in TASKS[env_id_of(env_id)].learned]
 
 
 def names_for(env_id: str) -> list[str]:
     """Return those of `NAMES` that `load` accepts for an environment."""
-    return [*(["scripted"] if env_id_of(env_id) in _SCRIPTED else []), *shipped_names(env_id)]
+    return [*(["scripted"] if TASKS[env_id_of(env_id)].scripted else []), *shipped_names(env_id)]
 
 
 def _missing(name: str, env_id: str) -> UnknownNameError:
@@ -114,8 +94,9 @@ def load(name: str | os.PathLike[str], env_id: str | None = None, **keywords: An
     task's settings, but not the kind of cell. A checkpoint is checked against the environment.
 
     Args:
-        name: One of `NAMES`; the path of a checkpoint's folder; or "package.module:Class", a class of your own that is
-            made without arguments. Text that contains a "/" or names an existing file counts as a path.
+        name: One of `NAMES`; the path of a checkpoint's folder; or "package.module:Class", a class of your own. It is
+            made with those of the arguments `timing`, `action_mode`, `mounts`, `limits` and `settings` that it takes;
+            without an environment, with none. Text that contains a "/" or names an existing file counts as a path.
         env_id: Id of the environment. None: that of the checkpoint; a name requires an id.
         **keywords: As for `gym.make`. A policy ignores those that concern neither task nor cell. Without `env_id` and
             keywords, the checkpoint's own keywords apply.
@@ -126,11 +107,11 @@ def load(name: str | os.PathLike[str], env_id: str | None = None, **keywords: An
         PolicyError: An object of the class is no policy.
         CheckpointError: The checkpoint cannot be read, or was made for another environment.
     """
-    if is_class(name):
-        return _own(str(name))
-    if name in _SHIPPED and env_id is not None:
-        name = shipped_folder(str(name), env_id)
     keywords = {key: value for key, value in keywords.items() if key not in _OF_INTERFACES}
+    if is_class(name):
+        return _made(str(name), env_id, keywords)
+    if name in LEARNED_NAMES and env_id is not None:
+        name = shipped_folder(str(name), env_id)
     if is_path(name):
         from dual_ur10.policies.learned import checkpoint
 
@@ -139,7 +120,7 @@ def load(name: str | os.PathLike[str], env_id: str | None = None, **keywords: An
         raise UnknownNameError("policy", str(name), NAMES, OTHERS)
     if env_id is None:
         raise SettingsError(
-            f"policy {str(name)!r} needs an environment: name one of {', '.join(ENTRY_POINTS)}; only the path of a "
+            f"policy {str(name)!r} needs an environment: name one of {', '.join(TASKS)}; only the path of a "
             "checkpoint does without"
         )
     return _scripted(env_id, keywords)
@@ -181,33 +162,61 @@ def load_named(policy: Policy | str, env_id: str, keywords: Mapping[str, Any]) -
         return load(policy, env_id, **keywords)
 
 
-def _own(name: str) -> Policy:
-    """Return an object of a class "package.module:Class"."""
-    module, attribute = name.split(":")
+def _made(path: str, env_id: str | None, keywords: Mapping[str, Any]) -> Policy:
+    """Return a policy of the class "module:Class", made with those arguments of `_ARGUMENTS` that it takes.
+
+    Args:
+        path: Module and name of the class.
+        env_id: Id of the environment that the arguments are of; None: there are none.
+        keywords: Keywords of the environment.
+
+    Raises:
+        SettingsError: The class cannot be imported or made.
+        PolicyError: It makes no policy.
+        DualUR10Error: A keyword is not legal.
+    """
+    factory = load_object(path, "the policy")
     try:
-        policy = getattr(importlib.import_module(module), attribute)()
-    except (ImportError, AttributeError, TypeError) as error:
+        taken = [name for name in inspect.signature(factory).parameters if name in _ARGUMENTS]
+        policy = factory(**(_arguments(env_id, keywords, taken) if taken and env_id is not None else {}))
+    except DualUR10Error:
+        raise
+    except (TypeError, ValueError) as error:
         raise SettingsError(
-            f"policy {name!r} cannot be made: {error}. Run this where Python finds {module!r}, and name a class that "
-            "is made without arguments"
+            f"policy {path!r} cannot be made: {error}. Name a class whose arguments are optional, or, for an "
+            f"environment, among {', '.join(_ARGUMENTS)}"
         ) from error
     if not isinstance(policy, Policy):
-        raise PolicyError(f"{name!r} is no policy: it must have `reset()` and `__call__(observation)`")
+        raise PolicyError(f"{path!r} is no policy: it must have `reset()` and `__call__(observation)`")
     return policy
 
 
-def _scripted(env_id: str, keywords: dict[str, Any]) -> Policy:
+def _arguments(env_id: str, keywords: Mapping[str, Any], names: Collection[str]) -> dict[str, Any]:
     from dual_ur10.envs.core.setup import EnvSetup
 
     setup = EnvSetup.resolve(env_id, keywords, ignore_unknown=True)
-    env_id, mode = setup.env_id, setup.options.action_mode
-    if env_id not in _SCRIPTED:
+    values = {
+        "timing": setup.timing,
+        "action_mode": setup.options.action_mode,
+        "mounts": (setup.config.left, setup.config.right),
+        "limits": setup.limits,
+        "settings": setup.settings,
+    }
+    return {name: values[name] for name in names}
+
+
+def _scripted(env_id: str, keywords: Mapping[str, Any]) -> Policy:
+    from dual_ur10.envs.core.options import EnvOptions
+
+    env_id = env_id_of(env_id)
+    classes = TASKS[env_id].scripted
+    mode = str(keywords.get("action_mode", EnvOptions.action_mode))
+    path = classes.get(mode) or classes.get("")
+    if path is None and classes:
+        raise SettingsError(f"the scripted policy of {env_id} is for {' and '.join(classes)}, not for {mode!r:.40}")
+    if path is None:
         raise _missing("scripted", env_id)
-    module, attribute = ((_SCRIPTED_TCP.get(env_id) if mode == "tcp_delta" else None) or _SCRIPTED[env_id]).split(":")
-    factory = getattr(importlib.import_module(f"dual_ur10.policies.scripted.{module}"), attribute)
-    mounts = setup.config.left, setup.config.right
-    policy: Policy = factory(setup.timing, mode, mounts=mounts, limits=setup.limits, settings=setup.settings)
-    return policy
+    return _made(path, env_id, keywords)
 
 
 def with_latency(policy: Policy | str, env_id: str, keywords: Mapping[str, Any]) -> dict[str, Any]:
@@ -233,7 +242,7 @@ def with_latency(policy: Policy | str, env_id: str, keywords: Mapping[str, Any])
     ):
         return dict(keywords)
     if isinstance(policy, str):
-        folder = shipped_folder(policy, env_id) if policy in _SHIPPED else policy
+        folder = shipped_folder(policy, env_id) if policy in LEARNED_NAMES else policy
         manifest = read_manifest(folder) if is_path(folder) else None
     else:
         manifest = policy.manifest if isinstance(policy, LearnedPolicy) else None
@@ -258,7 +267,7 @@ def provenance(policy: Policy | str, env_id: str) -> dict[str, Any]:
     """
     if not isinstance(policy, str):
         return {"policy": policy_name(policy)}
-    folder = str(shipped_folder(policy, env_id)) if policy in _SHIPPED else policy
+    folder = str(shipped_folder(policy, env_id)) if policy in LEARNED_NAMES else policy
     if not is_path(folder):
         return {"policy": policy}
     from dual_ur10.policies.learned.checkpoint import sha256_of

@@ -25,6 +25,11 @@ class Scaled(Still):
         self.factor = factor
 
 
+class Knowing(Still):
+    def __init__(self, settings=None, timing=None):
+        self.settings, self.timing = settings, timing
+
+
 class NoPolicy:
     pass
 """
@@ -45,12 +50,20 @@ def test_a_class_of_ones_own_acts_as_a_policy(own):
     assert found.mean_return == evaluate(SINE, "zero", episodes=1, env_kwargs={"duration_s": 1.0}).mean_return
 
 
+def test_a_class_of_ones_own_gets_the_arguments_that_it_takes(own):
+    made = load(f"{own}:Knowing", SINE, amplitude_m=0.05, policy_rate_hz=12.5)
+    assert (made.settings.amplitude_m, made.timing.period_s) == (0.05, 0.08)
+    assert load(f"{own}:Knowing").settings is None
+    with pytest.raises(SettingsError, match="amplitude_m"):
+        load(f"{own}:Knowing", SINE, amplitude_m=-1.0)
+
+
 @pytest.mark.parametrize(
     ("name", "kind", "text"),
     [
         ("no_such_module_here:Policy", SettingsError, "No module named 'no_such_module_here'"),
         ("my_policies:Absent", SettingsError, "has no attribute 'Absent'"),
-        ("my_policies:Scaled", SettingsError, "made without arguments"),
+        ("my_policies:Scaled", SettingsError, "whose arguments are optional, or, for an environment, among timing"),
         ("my_policies:NoPolicy", PolicyError, "it must have `reset"),
         ("psychic", UnknownNameError, "module:Class"),
     ],

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib
 from collections.abc import Mapping
 from typing import Any
 
@@ -13,7 +12,7 @@ from dual_ur10.envs.core.options import MOVE_TO_START, OPTION_NAMES, EnvOptions
 from dual_ur10.envs.core.randomization import Randomization, resolve_randomization
 from dual_ur10.envs.tasks.task import SceneRequirements, Task, Timing
 from dual_ur10.errors import ResetRefusedError, SettingsError, UnknownKeywordError
-from dual_ur10.ids import ENTRY_POINTS, env_id_of
+from dual_ur10.ids import TASKS, env_id_of, load_object
 from dual_ur10.sim2real.config.cell import CellConfig, HostedCell
 from dual_ur10.sim2real.config.cell_file import resolve_cell
 from dual_ur10.sim2real.config.perturbation import Perturbation
@@ -27,9 +26,12 @@ def load_task(name: str) -> type[Task[Any, Any]]:
 
     Raises:
         UnknownNameError: There is no such environment.
+        SettingsError: Its class cannot be imported, or is no task.
     """
-    module, attribute = ENTRY_POINTS[env_id_of(name)].split(":")
-    task: type[Task[Any, Any]] = getattr(importlib.import_module(module), attribute)
+    env_id = env_id_of(name)
+    task: type[Task[Any, Any]] = load_object(TASKS[env_id].task, f"the task of {env_id}")
+    if not isinstance(task, type) or not issubclass(task, Task):
+        raise SettingsError(f"{TASKS[env_id].task!r}, registered as {env_id}, is no subclass of {Task.__module__}.Task")
     return task
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from dual_ur10.envs.core.ends import details_of, early_end
 from dual_ur10.envs.core.options import AS_ON_CONTROLLERS, MOVE_TO_START
 from dual_ur10.errors import DualUR10Error, ResetRefusedError, SettingsError, UnknownNameError
-from dual_ur10.ids import ENTRY_POINTS, __version__
+from dual_ur10.ids import TASKS, __version__, is_registered
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies.baselines import RandomPolicy, ZeroPolicy
 from dual_ur10.policies.evaluation.results import Episode, Evaluation
@@ -272,8 +272,8 @@ def _bound(core: Any, max_steps: int | None) -> int:
 
 def _make(env_id: str, num_envs: int, keywords: Mapping[str, Any]) -> Any:
     """Make the vector environment, without automatic resets."""
-    if env_id not in gym.registry:
-        raise UnknownNameError("environment", str(env_id), list(ENTRY_POINTS))
+    if env_id not in gym.registry and not is_registered(env_id):
+        raise UnknownNameError("environment", str(env_id), list(TASKS))
     for name in _OWN:
         if name in keywords:
             raise SettingsError(f"the keyword {name} is set by the evaluation: leave it out")
@@ -283,7 +283,7 @@ def _make(env_id: str, num_envs: int, keywords: Mapping[str, Any]) -> Any:
             num_envs=num_envs,
             vectorization_mode="vector_entry_point",
             autoreset_mode="Disabled",
-            **({**AS_ON_CONTROLLERS, **keywords} if env_id in ENTRY_POINTS else keywords),
+            **({**AS_ON_CONTROLLERS, **keywords} if env_id in TASKS else keywords),
         )
 
 

@@ -108,10 +108,10 @@ def to_minari(
 def _core(header: Header) -> Core:
     """Make a simulation of the same task, for its spaces and observations of each agent."""
     from dual_ur10.envs.core.core import Core
-    from dual_ur10.ids import ENTRY_POINTS
+    from dual_ur10.ids import TASKS, is_registered
 
-    if header.env_id not in ENTRY_POINTS:
-        raise RecordingError(f"it was recorded in {header.env_id!r:.80}: allowed are {', '.join(ENTRY_POINTS)}")
+    if not is_registered(header.env_id):
+        raise RecordingError(f"it was recorded in {header.env_id!r:.80}: allowed are {', '.join(TASKS)}")
     left, right = mounts_of(header)
     profile = ServojProfile(family=header.family, **header.servoj[0])
     keywords = {name: value for name, value in header.kwargs.items() if name not in _NOT_OF_TASK}

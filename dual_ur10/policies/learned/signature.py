@@ -18,7 +18,7 @@ from dual_ur10.envs.core.randomization import Randomization, resolve_randomizati
 from dual_ur10.envs.core.setup import EnvSetup, load_task
 from dual_ur10.envs.tasks.task import Task
 from dual_ur10.errors import CheckpointError
-from dual_ur10.ids import ENTRY_POINTS
+from dual_ur10.ids import TASKS, is_registered
 from dual_ur10.kinematics.robots import ROBOTS
 from dual_ur10.kinematics.ur10 import ARMS, Family
 from dual_ur10.policies.learned.schema import JsonList, Numbers, Object, StrictJson, Text, Whole
@@ -158,8 +158,8 @@ class EnvironmentSignature(StrictJson):
     robot: Robot
 
     def __post_init__(self) -> None:
-        if self.env_id not in ENTRY_POINTS:
-            raise CheckpointError(f"there is no environment {self.env_id!r:.80}: there are {', '.join(ENTRY_POINTS)}")
+        if not is_registered(self.env_id):
+            raise CheckpointError(f"there is no environment {self.env_id!r:.80}: there are {', '.join(TASKS)}")
         if self.observation.shape[0] % 2 or self.action.shape[0] % 2:
             raise CheckpointError("observations and actions of two arms have an even number of numbers each")
 

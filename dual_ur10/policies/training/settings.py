@@ -1,4 +1,4 @@
-"""Settings of trainings, for every task in one place. The shipped policies were made with these."""
+"""Settings of trainings, general ones and those of this package's tasks. The shipped policies were made with them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pydantic import Discriminator, Field, Tag
 from dual_ur10.envs.api.two_agents import RewardKind
 from dual_ur10.envs.core.options import split_keywords
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.ids import env_id_of
+from dual_ur10.ids import TASKS, env_id_of, load_object
 from dual_ur10.policies.learned import schema
 from dual_ur10.policies.learned.manifest import AgentsKind
 from dual_ur10.policies.learned.network import Activation
@@ -32,6 +32,9 @@ CHECK_SEED: Final = 10_000_000
 """First seed of the episodes that check a training's progress. Published figures begin at 0."""
 
 _ENVS, _CHECKS = 64, 32
+_STEPS: Final = {"ppo": 1_000_000, "sac": 300_000, "bc": 96_000, "dagger": 288_000}
+"""Steps of trainings of tasks that do not state them."""
+
 _FIRST_SEED, _SEEDS_EACH, _MOST_SEED = 1_000_000_000, 1_000_000, 2_000_000
 
 Count = Annotated[int, Field(ge=1, le=10**9)]
@@ -151,7 +154,7 @@ class TaskSettings:
 
     Attributes:
         envs: Number of cells that bc and dagger step together. PPO and SAC step as many as the default.
-        steps: Total number of environment steps, by algorithm.
+        steps: Total number of environment steps, by algorithm; general numbers for those that are left out.
         randomization: Variation from episode to episode.
         keywords: Further keywords of the environment.
         from_nothing: Keywords of PPO and SAC instead of these and the default latency. Without random plants and
@@ -241,72 +244,90 @@ _TO_GOALS: Final = Reinforcement(
     scaled=False,
 )
 
-SETTINGS: Final[dict[str, TaskSettings]] = {
-    "DualUR10/SineTracking-v0": TaskSettings(
-        steps={"ppo": 1_000_000, "sac": 300_000, "bc": 96_000, "dagger": 288_000},
-        keywords={"random_path": True},
-        agents="shared",
-        ppo=Reinforcement(
-            hidden=(64, 64),
-            learning_rate=1e-3,
-            gamma=0.9,
-            episode_steps=100,
-            steps_per_update=16,
-            batch_size=256,
-            gae_lambda=0.9,
-            first_std=0.1,
-            last_std=0.006,
-            unseen=_ONE_ARM_UNSEEN,
-            reward="individual",
-        ),
-        sac=Reinforcement(
-            hidden=(64, 64),
-            learning_rate=1e-3,
-            gamma=0.9,
-            episode_steps=100,
-            batch_size=256,
-            first_std=0.1,
-            last_std=0.006,
-            gradient_steps=16,
-            unseen=_ONE_ARM_UNSEEN,
-            reward="individual",
-        ),
-        # It sees the commanded positions, and the step from there to the reference, which is all that the action needs.
-        imitation=Imitation(unseen=_SINE_UNSEEN),
+SINE_TRACKING: Final = TaskSettings(
+    keywords={"random_path": True},
+    agents="shared",
+    ppo=Reinforcement(
+        hidden=(64, 64),
+        learning_rate=1e-3,
+        gamma=0.9,
+        episode_steps=100,
+        steps_per_update=16,
+        batch_size=256,
+        gae_lambda=0.9,
+        first_std=0.1,
+        last_std=0.006,
+        unseen=_ONE_ARM_UNSEEN,
+        reward="individual",
     ),
-    "DualUR10/SyncCarry-v0": TaskSettings(
-        steps={"ppo": 1_000_000, "sac": 200_000, "bc": 57_600, "dagger": 230_400},
-        # It sees the commanded positions, the goal of the bar and the time. The fingers close by time alone: a network
-        # that saw them kept closing after an accidental early start.
-        imitation=Imitation(noise=0.05, unseen=_CARRY_UNSEEN),
-        from_nothing={"action_mode": "tcp_delta", "randomization": "none", "action_latency_ticks": 0},
-        agents="shared",
-        ppo=dataclasses.replace(
-            _TO_GOALS,
-            learning_rate=1e-3,
-            gamma=0.9,
-            episode_steps=900,
-            batch_size=1024,
-            last_std=0.02,
-            refusals=1.0,
-            unseen=_CARRY_ARM,
-        ),
+    sac=Reinforcement(
+        hidden=(64, 64),
+        learning_rate=1e-3,
+        gamma=0.9,
+        episode_steps=100,
+        batch_size=256,
+        first_std=0.1,
+        last_std=0.006,
+        gradient_steps=16,
+        unseen=_ONE_ARM_UNSEEN,
+        reward="individual",
     ),
-    "DualUR10/Handover-v0": TaskSettings(
-        envs=192,
-        randomization="wide",
-        steps={"ppo": 1_500_000, "sac": 300_000, "bc": 115_200, "dagger": 460_800},
-        from_nothing={"action_mode": "tcp_delta", "randomization": "none", "action_latency_ticks": 0},
-        agents="shared",
-        ppo=dataclasses.replace(
-            _TO_GOALS, episode_steps=500, batch_size=4096, epochs=10, last_std=0.05, unseen=_HANDOVER_UNSEEN
-        ),
-        # It sees the commanded positions, the fingers, the block, its goal and the role.
-        imitation=Imitation(unseen=(*_MOTION_FIELDS, "progress")),
-        # Rounds differ by a few percent, which 32 episodes do not tell.
-        checks=128,
+    # It sees the commanded positions, and the step from there to the reference, which is all that the action needs.
+    imitation=Imitation(unseen=_SINE_UNSEEN),
+)
+
+SYNC_CARRY: Final = TaskSettings(
+    steps={"ppo": 1_000_000, "sac": 200_000, "bc": 57_600, "dagger": 230_400},
+    # It sees the commanded positions, the goal of the bar and the time. The fingers close by time alone: a network
+    # that saw them kept closing after an accidental early start.
+    imitation=Imitation(noise=0.05, unseen=_CARRY_UNSEEN),
+    from_nothing={"action_mode": "tcp_delta", "randomization": "none", "action_latency_ticks": 0},
+    agents="shared",
+    ppo=dataclasses.replace(
+        _TO_GOALS,
+        learning_rate=1e-3,
+        gamma=0.9,
+        episode_steps=900,
+        batch_size=1024,
+        last_std=0.02,
+        refusals=1.0,
+        unseen=_CARRY_ARM,
     ),
-}
+)
+
+HANDOVER: Final = TaskSettings(
+    envs=192,
+    randomization="wide",
+    steps={"ppo": 1_500_000, "sac": 300_000, "bc": 115_200, "dagger": 460_800},
+    from_nothing={"action_mode": "tcp_delta", "randomization": "none", "action_latency_ticks": 0},
+    agents="shared",
+    ppo=dataclasses.replace(
+        _TO_GOALS, episode_steps=500, batch_size=4096, epochs=10, last_std=0.05, unseen=_HANDOVER_UNSEEN
+    ),
+    # It sees the commanded positions, the fingers, the block, its goal and the role.
+    imitation=Imitation(unseen=(*_MOTION_FIELDS, "progress")),
+    # Rounds differ by a few percent, which 32 episodes do not tell.
+    checks=128,
+)
+
+
+def task_settings(env_id: str) -> TaskSettings:
+    """Return the settings that a task brings, or general ones.
+
+    Args:
+        env_id: Full id of the environment.
+
+    Raises:
+        SettingsError: It is registered with something else.
+    """
+    found = TASKS[env_id].training
+    if isinstance(found, str):
+        found = load_object(found, f"the settings of trainings of {env_id}")
+    if found is None:
+        return TaskSettings()
+    if not isinstance(found, TaskSettings):
+        raise SettingsError(f"{env_id} is registered with training={found!r:.80}: it must be a TaskSettings")
+    return found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -442,16 +463,11 @@ def defaults(
         init: See `Training`.
 
     Raises:
-        SettingsError: A value is not possible, or the environment has no settings of a training.
+        SettingsError: A value is not possible.
         UnknownNameError: No such environment, algorithm, kind of agents, setting or keyword.
     """
     env_id = env_id_of(env_id)
-    own = SETTINGS.get(env_id)
-    if own is None:
-        raise SettingsError(
-            f"there are no settings of a training for {env_id}, but for {', '.join(SETTINGS)}: train it with a library "
-            "of your own, and convert the result to a checkpoint"
-        )
+    own = task_settings(env_id)
     if algorithm not in get_args(Algorithm):
         raise UnknownNameError("algorithm", str(algorithm), get_args(Algorithm))
     settings: Reinforcement | Imitation = own.imitation
@@ -477,7 +493,7 @@ def defaults(
         algorithm=algorithm,
         agents=agents,
         envs=envs if envs is not None else own.envs if algorithm in IMITATION else _ENVS,
-        steps=own.steps[algorithm] if steps is None else steps,
+        steps=own.steps.get(algorithm, _STEPS[algorithm]) if steps is None else steps,
         seed=seed,
         keywords=given,
         checks=own.checks if algorithm in IMITATION else _CHECKS,

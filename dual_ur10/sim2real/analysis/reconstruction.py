@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from dual_ur10.assets.obstacles import Box, Capsule, Plane
 from dual_ur10.assets.settings import Equipment
 from dual_ur10.errors import CellFileError, RecordingError, SettingsError, UnknownNameError
-from dual_ur10.ids import ENTRY_POINTS
+from dual_ur10.ids import TASKS, is_registered
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.rotations import quat_conjugate, quat_multiply, quat_to_rotvec
 from dual_ur10.kinematics.ur10 import ARMS, TICK_S, DHParameters
@@ -73,10 +73,10 @@ def keywords_of(header: Header, cell: str | Path | CellConfig | None = None) -> 
     Raises:
         RecordingError: The recording lacks an entry, or holds an illegal one.
     """
-    if header.env_id not in ENTRY_POINTS:
+    if not is_registered(header.env_id):
         raise RecordingError(
-            f"the recording is of {header.env_id!r}: this version has {', '.join(ENTRY_POINTS)}. Use the version that "
-            "recorded it"
+            f"the recording is of {header.env_id!r}: this version has {', '.join(TASKS)}. Use the version that "
+            "recorded it, or install the package that brings the task"
         )
     left_out = _VISUAL if cell is None and header.source == "mujoco" else _SIMULATED
     keywords = {name: value for name, value in header.kwargs.items() if name not in (*left_out, "task")}

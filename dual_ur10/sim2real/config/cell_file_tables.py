@@ -18,7 +18,7 @@ from typing import Annotated, Any, Final, Literal, Self, TypeVar
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 from dual_ur10.assets import obstacles
-from dual_ur10.ids import ENTRY_POINTS, ENV_IDS
+from dual_ur10.ids import ENV_IDS, is_registered
 from dual_ur10.kinematics import ur10
 from dual_ur10.kinematics.frames import MAX_MOUNT_M, MAX_TILT_RAD, ArmMount
 from dual_ur10.kinematics.robots import MODEL_OF_FAMILY, MOST_PAYLOAD_KG, ROBOTS
@@ -92,7 +92,7 @@ def _checked_address(text: str) -> str:
 
 
 def _checked_id(text: str) -> str:
-    if text not in ENTRY_POINTS:
+    if not is_registered(text):
         raise ValueError(text)
     return text
 

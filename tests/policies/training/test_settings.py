@@ -14,14 +14,16 @@ from dual_ur10.policies.learned.signature import view_of
 from dual_ur10.policies.training.settings import (
     CHECK_SEED,
     IMITATION,
-    SETTINGS,
     Imitation,
     Reinforcement,
     defaults,
     first_seed_of,
+    task_settings,
 )
 from dual_ur10.sim2real.config.cell_file_reference import starting_text
 from tests.policies.training.small import small
+
+GENERAL_STEPS = {"ppo": 1_000_000, "sac": 300_000, "bc": 96_000, "dagger": 288_000}
 
 
 @pytest.mark.parametrize("env_id", ENV_IDS)
@@ -29,8 +31,8 @@ from tests.policies.training.small import small
 def test_every_task_has_settings_for_every_algorithm(env_id, algorithm):
     asked = defaults(env_id, algorithm)
     assert asked.env_id == env_id
-    own = SETTINGS[env_id]
-    assert asked.steps == own.steps[algorithm]
+    own = task_settings(env_id)
+    assert asked.steps == {**GENERAL_STEPS, **own.steps}[algorithm]
     shown = {"randomization": own.randomization, "action_latency_ticks": 5, **own.keywords}
     assert asked.keywords == (shown if algorithm in IMITATION else own.from_nothing)
     assert asked.agents == ("joint" if algorithm in IMITATION else own.agents)
@@ -71,7 +73,7 @@ def test_arguments_override_the_defaults():
     )
     assert (asked.agents, asked.envs, asked.steps, asked.seed) == ("shared", 3, 4, 5)
     assert asked.keywords == {"action_latency_ticks": 0, "grasp": "rigid", "randomization": "wide"}
-    assert asked.settings == dataclasses.replace(SETTINGS["DualUR10/SyncCarry-v0"].imitation, hidden=(7,))
+    assert asked.settings == dataclasses.replace(task_settings("DualUR10/SyncCarry-v0").imitation, hidden=(7,))
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,54 @@
+"""Facade for authors of tasks: all that one file with a task, its scripted policy and its settings needs.
+
+    from dual_ur10.tasks import Outcome, Start, Task, register
+
+    @register("MyLab/Reach-v0", scripted="ReachPolicy")
+    class Reach(Task[ReachSettings, Array]): ...
+
+It holds names only; each is documented where it is defined. It imports `envs` and `policies`; nothing of the package
+imports it.
+"""
+
+from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, home_q_rad
+from dual_ur10.envs.tasks.observation_layout import ARM_FIELDS, Field, ObservationLayout, arm_values
+from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Task, Timing, check_numbers, gaussian
+from dual_ur10.errors import SettingsError
+from dual_ur10.kinematics.frames import Frames
+from dual_ur10.kinematics.poses import Poses
+from dual_ur10.policies.scripted.base import ScriptedPolicy
+from dual_ur10.policies.training.settings import Imitation, Reinforcement, TaskSettings
+from dual_ur10.registration import register
+from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
+from dual_ur10.sim2real.control.limits import MotionLimits
+from dual_ur10.types import Array, Mask, Rows
+
+__all__ = [
+    "ARM_FIELDS",
+    "HOME_Q_RAD",
+    "Array",
+    "CellConfig",
+    "CellState",
+    "Equipment",
+    "Field",
+    "Frames",
+    "Imitation",
+    "Mask",
+    "MotionLimits",
+    "ObservationLayout",
+    "Outcome",
+    "Poses",
+    "Reinforcement",
+    "Rows",
+    "SceneRequirements",
+    "ScriptedPolicy",
+    "SettingsError",
+    "Start",
+    "Task",
+    "TaskSettings",
+    "Timing",
+    "arm_values",
+    "check_numbers",
+    "gaussian",
+    "home_q_rad",
+    "register",
+]

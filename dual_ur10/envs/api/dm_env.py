@@ -71,7 +71,7 @@ class DualArmDmEnv(Environment):  # type: ignore[misc]  # the package dm_env has
             ResetNeededError: No episode is running, on two controllers. Nothing has moved.
         """
         if self._over:
-            if self.env.core.config.file is not None:
+            if self.env.core.config.controllers:
                 raise ResetNeededError(
                     "no episode is running, and on a cell of controllers none begins by itself: call reset() first"
                 )

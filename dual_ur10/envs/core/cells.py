@@ -8,10 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from dual_ur10.envs.core.setup import EnvSetup
-from dual_ur10.envs.sim.echo_cell import EchoCell
-from dual_ur10.envs.sim.mujoco_cell import MujocoCell
 from dual_ur10.errors import SettingsError
-from dual_ur10.sim2real.config.cell import Cell
+from dual_ur10.sim2real.config.cell import Cell, CellRequest
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.recording.rows import RunRecorder
 
@@ -23,36 +21,26 @@ if TYPE_CHECKING:
 _NOT_RECORDED: Final = ("cell", "confirm", "record", "record_failure", "record_about")
 
 
-def make_cell(setup: EnvSetup, n: int, *, threads: int, clearance: Clearance) -> Cell:
-    """Make a simulated cell, a dry run, or that of two controllers.
+def request_for(setup: EnvSetup, n: int, *, threads: int, clearance: Clearance) -> CellRequest:
+    """Return the request for the cell of an environment.
 
     Args:
         setup: Of the environment.
         n: Number of cells.
         threads: Threads to simulate on.
         clearance: Measures the distances on the path to a start.
-
-    Raises:
-        DualUR10Error: It cannot be made; see `MujocoCell`, `EchoCell` and `RtdeCell`.
     """
-    config, ticks, latency = setup.config, setup.ticks, setup.latency_ticks
-    if config.state_is_commanded:
-        if not setup.randomization.is_none:
-            raise SettingsError("randomization is for simulated cells: leave it out in a dry run")
-        return EchoCell(config, ticks, n=n, latency_ticks=latency)
-    if config.file is None:
-        varied = setup.randomization.varied
-        return MujocoCell(
-            config, ticks, n=n, threads=threads, latency_ticks=latency, varied=varied, contacts=setup.contacts
-        )
-    from dual_ur10.sim2real.runtime.rtde_cell import RtdeCell  # a simulation does not need its imports
-
-    return RtdeCell(
-        config,
-        ticks,
+    return CellRequest(
+        config=setup.config,
+        ticks=setup.ticks,
         limits=setup.limits,
         clearance=clearance,
-        latency_ticks=latency,
+        n=n,
+        threads=threads,
+        latency_ticks=setup.latency_ticks,
+        randomized=not setup.randomization.is_none,
+        varied=setup.randomization.varied,
+        contacts=setup.contacts,
         coupled=setup.task_type.coupled,
         confirm=setup.options.confirm,
         only=setup.options.arm,

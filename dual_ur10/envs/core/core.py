@@ -12,7 +12,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from dual_ur10.envs.core.cells import make_cell, make_recorder
+from dual_ur10.envs.core.cells import make_recorder, request_for
 from dual_ur10.envs.core.ends import BRAKED, DIVERGED, SUCCESS, TIME, early_end, refusal
 from dual_ur10.envs.core.options import EnvOptions
 from dual_ur10.envs.core.randomization import apply_sample
@@ -21,6 +21,7 @@ from dual_ur10.envs.core.setup import EnvSetup, check_for_controllers, check_res
 from dual_ur10.envs.tasks.task import Outcome, Task, Timing
 from dual_ur10.errors import ActionError, CellFaulted, ClosedError, DualUR10Error, ResetNeededError
 from dual_ur10.sim2real.config.cell import Cell, CellConfig, CellState, CellStep
+from dual_ur10.sim2real.config.cell_kinds import make_cell
 from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate, Verdict
@@ -156,7 +157,7 @@ class Core:
             uncertainty=config.uncertainty,
         )
         gate = SafetyGate(setup.limits, config.servoj.tick_s, setup.ticks, clearance, n=n, threads=threads)
-        proximity = None if config.file is None else ProximityScaling(clearance, adapter.period_s)
+        proximity = ProximityScaling(clearance, adapter.period_s) if config.controllers else None
         self.pipeline = ServojPipeline(adapter, gate, held=setup.options.held_arm, proximity=proximity)
         self.task = setup.make_task(n)
         self._clearance = clearance
@@ -179,7 +180,7 @@ class Core:
         self.observation_space = spaces.Box(low, high, dtype=self._dtype.type)
         if record is not None:
             prepare(Path(record))  # before anything is connected
-        self.cell: Cell | None = make_cell(setup, n, threads=threads, clearance=clearance)
+        self.cell: Cell | None = make_cell(request_for(setup, n, threads=threads, clearance=clearance))
         self._hook: RecordHook | None = None
         self.recorder: RunRecorder | None = None
         self._begin_record(keywords)
@@ -226,7 +227,7 @@ class Core:
             ResetRefusedError: It would move the arms of two controllers without consent. Nothing has changed.
         """
         cell = self._open()
-        if self.config.file is not None:
+        if self.config.controllers:
             check_reset(begun=self._begun, consent=move_to_start or self.options.confirm is not None)
         rows = np.arange(self.n) if rows is None else rows
         self._state = None  # if anything fails from here on, a reset is needed

@@ -7,13 +7,12 @@ from collections.abc import Callable
 
 from dual_ur10.assets.settings import Equipment, home_q_rad
 from dual_ur10.envs.core.cells import record_arms
-from dual_ur10.envs.sim.echo_cell import EchoCell
-from dual_ur10.envs.sim.mujoco_cell import MujocoCell
 from dual_ur10.errors import UnknownNameError
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.commissioning.operator_prompts import Confirm
-from dual_ur10.sim2real.config.cell import Cell, CellConfig, HostedCell
+from dual_ur10.sim2real.config.cell import Cell, CellConfig, CellRequest, HostedCell
 from dual_ur10.sim2real.config.cell_file import resolve_cell
+from dual_ur10.sim2real.config.cell_kinds import make_cell
 from dual_ur10.sim2real.config.perturbation import Perturbation
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate
@@ -74,9 +73,21 @@ def make_follower(
     law = TargetLaw.of(config.servoj, ticks, config.speed_factor, config.measured_lookahead_s)
     gate = SafetyGate(limits, law.tick_s, ticks, clearance)
     latency_ticks = config.latency_ticks
-    if config.file is not None:
+    if config.controllers:
         latency_ticks = max(latency_ticks, math.ceil(LEAD_S / law.tick_s * config.speed_factor - 1e-9))
-    made, close = _cell(cell, config, gate, clearance, arm, confirm, latency_ticks)
+    made = make_cell(
+        CellRequest(
+            config=config,
+            ticks=ticks,
+            limits=limits,
+            clearance=clearance,
+            latency_ticks=latency_ticks,
+            contacts=config.perturbation != Perturbation(),
+            confirm=confirm,
+            only=arm,
+            system=cell.system if isinstance(cell, HostedCell) else LOCAL,
+        )
+    )
     executor = TrajectoryExecutor(
         made,
         gate,
@@ -84,55 +95,37 @@ def make_follower(
         clearance,
         latency_ticks=latency_ticks,
         dh=[mount.dh for mount in (config.left, config.right)],
-        proximity=None if config.file is None else ProximityScaling(clearance, law.period_s),
-        on_close=close,
+        proximity=ProximityScaling(clearance, law.period_s) if config.controllers else None,
+        on_close=_black_box(made, config, ticks, latency_ticks),
     )
     with executor.closed_on_error():
-        if config.file is None:
+        if not config.controllers:
             executor.start(home_q_rad((config.left, config.right)))
     return executor
 
 
-def _cell(
-    cell: object,
-    config: CellConfig,
-    gate: SafetyGate,
-    clearance: Clearance,
-    arm: str | None,
-    confirm: Confirm | None,
-    latency_ticks: int,
-) -> tuple[Cell, Callable[[], None] | None]:
-    """Return the cell, and how to end the black box that each cell of two controllers has."""
-    if config.state_is_commanded:
-        return EchoCell(config, gate.ticks), None
+def _black_box(cell: Cell, config: CellConfig, period_ticks: int, latency_ticks: int) -> Callable[[], None] | None:
+    """Start the black box that each cell of two controllers has; return how to end it."""
     if config.file is None:
-        return MujocoCell(config, gate.ticks, contacts=config.perturbation != Perturbation()), None
+        return None
     from dual_ur10.sim2real.recording.header import describe  # a simulation does not need these imports
     from dual_ur10.sim2real.runtime.rtde_cell import RtdeCell
 
-    made = RtdeCell(
-        config,
-        gate.ticks,
-        limits=gate.limits,
-        clearance=clearance,
-        latency_ticks=latency_ticks,
-        confirm=confirm,
-        only=arm,
-        system=cell.system if isinstance(cell, HostedCell) else LOCAL,
-    )
+    if not isinstance(cell, RtdeCell):
+        return None
     header = describe(
         "trajectories",
         {},
         config,
-        period_ticks=gate.ticks,
+        period_ticks=period_ticks,
         latency_ticks=latency_ticks,
         source=config.kind,
         speed_factor=config.speed_factor,
         cell_file=config.file.text(),
-        started=made.system.clock.utc(),
+        started=cell.system.clock.utc(),
     )
     try:
-        return made, record_arms(made, header).close
+        return record_arms(cell, header).close
     except BaseException:
-        made.close()
+        cell.close()
         raise

@@ -36,7 +36,7 @@ class Sensing:
         self._period_s, self.n = period_s, n
         joint, speed = randomization.joint_noise_rad, randomization.joint_speed_noise_rad_s
         # Values of two controllers are measured already: no noise is added.
-        simulated = config.file is None
+        simulated = not config.controllers
         force, torque = config.wrench_noise if simulated and config.equipment.grippers else (0.0, 0.0)
         self._sigma = np.repeat([joint, speed, force, torque], [12, 12, 6, 6])
         self._noisy = bool(self._sigma.any())

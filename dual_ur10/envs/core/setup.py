@@ -116,7 +116,7 @@ class EnvSetup:
     def brakes(self) -> bool:
         """True if an episode continues after a motion that the safety gate refused."""
         wanted = self.options.on_refusal
-        return self.config.file is None if wanted is None else wanted == "brake"
+        return not self.config.controllers if wanted is None else wanted == "brake"
 
     @property
     def contacts(self) -> bool:
@@ -191,7 +191,7 @@ def check_for_controllers(
     Raises:
         SettingsError: The cell is one of two controllers, and cannot serve this.
     """
-    if config.file is None:
+    if not config.controllers:
         return
     if n > 1:
         raise SettingsError(f"{n} environments on one cell of controllers: there is one pair of arms. Use one")

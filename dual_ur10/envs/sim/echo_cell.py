@@ -9,7 +9,7 @@ import numpy as np
 
 from dual_ur10.envs.sim.servo_reference import Motion, ServojReference
 from dual_ur10.errors import ClosedError, SettingsError
-from dual_ur10.sim2real.config.cell import CellConfig, CellState, CellStep, Start, TickTrace
+from dual_ur10.sim2real.config.cell import CellConfig, CellRequest, CellState, CellStep, Start, TickTrace
 from dual_ur10.sim2real.config.perturbation import Perturbation
 from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.control.command_queue import CommandQueue
@@ -123,3 +123,14 @@ class EchoCell:
         if self._mirror is None:
             raise ClosedError("this cell was closed: make a new one")
         return self._mirror
+
+
+def make_echo_cell(request: CellRequest) -> EchoCell:
+    """Make the dry run of a request.
+
+    Raises:
+        SettingsError: Something is randomized, or another reason of `EchoCell`.
+    """
+    if request.randomized:
+        raise SettingsError("randomization is for simulated cells: leave it out in a dry run")
+    return EchoCell(request.config, request.ticks, n=request.n, latency_ticks=request.latency_ticks)

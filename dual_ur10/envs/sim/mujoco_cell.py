@@ -10,7 +10,7 @@ import numpy as np
 from dual_ur10.envs.sim.physics import Physics
 from dual_ur10.envs.sim.servo_reference import Motion, ServojReference, TargetDelay, TimeScaledTargets
 from dual_ur10.errors import ClosedError, SettingsError
-from dual_ur10.sim2real.config.cell import CellConfig, CellStep, Start, TickTrace
+from dual_ur10.sim2real.config.cell import CellConfig, CellRequest, CellStep, Start, TickTrace
 from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.control.command_queue import CommandQueue
 from dual_ur10.types import Array, Rows
@@ -177,3 +177,16 @@ class MujocoCell:
         if self._physics is not None:
             self._perturb(np.arange(self.n))
             self._physics.restore()
+
+
+def make_mujoco_cell(request: CellRequest) -> MujocoCell:
+    """Make the simulated cells of a request."""
+    return MujocoCell(
+        request.config,
+        request.ticks,
+        n=request.n,
+        threads=request.threads,
+        latency_ticks=request.latency_ticks,
+        varied=request.varied,
+        contacts=request.contacts,
+    )

@@ -101,7 +101,7 @@ def evaluate(
         actor = actor_of(policy, env) if actor is None else actor
         core = env.unwrapped.core
         bound = _bound(core, max_steps)
-        if episodes > 1 and core.config.file is not None and not (move_to_start or core.options.confirm is not None):
+        if episodes > 1 and core.config.controllers and not (move_to_start or core.options.confirm is not None):
             raise ResetRefusedError(
                 f"{episodes} episodes on a cell of two controllers move both arms to where each of them begins, and "
                 "that needs your consent: pass evaluate(..., move_to_start=True), or confirm= in env_kwargs, which is "

@@ -424,7 +424,8 @@ def check_simulated(keywords: Mapping[str, Any], purpose: str, remedy: str) -> N
         DualUR10Error: A keyword is not legal.
     """
     options, _ = split_keywords(dict(keywords))
-    if resolve_cell(options.cell).kind != "mujoco":
+    cell = resolve_cell(options.cell)
+    if cell.controllers or cell.state_is_commanded:
         raise SettingsError(
             f"the cell {options.cell!s:.120} is not simulated, and {purpose} is in simulation: {remedy}"
         )

@@ -7,10 +7,10 @@ A cell executes joint targets tick by tick and returns its state; it does not de
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple, Protocol, get_args, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,15 +30,14 @@ from dual_ur10.errors import RateError, SettingsError, UnknownNameError
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.robots import MODEL_OF_FAMILY
 from dual_ur10.kinematics.ur10 import ARMS
+from dual_ur10.sim2real.config.cell_kinds import cell_kind
 from dual_ur10.sim2real.config.perturbation import Perturbation
 from dual_ur10.sim2real.control.adapter import Command
-from dual_ur10.sim2real.control.clearance import MINIMUM_M, checked_base_uncertainty
+from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance, checked_base_uncertainty
 from dual_ur10.sim2real.control.limits import MotionLimits, checked_tcp
 from dual_ur10.sim2real.control.servoj import DEFAULT_SERVOJ, MEASURED_LOOKAHEAD_S, ServojProfile
-from dual_ur10.sim2real.processes.system import System
+from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.types import Array, Rows, Vector3
-
-CellKind = Literal["mujoco", "echo", "emulated", "real"]
 
 LEAST_DAMPING = 0.3
 """Smallest damping ratio of the servoj law: below it the arms overshoot the targets that the gate checks.
@@ -231,7 +230,8 @@ class CellConfig:
 
     Attributes:
         kind: "mujoco", the simulated cell; "echo", a dry run, whose state is what was commanded; "emulated" or "real",
-            two controllers that a cell file describes.
+            two controllers that a cell file describes; or a name that was registered with
+            `dual_ur10.sim2real.config.cell_kinds.register_cell`.
         left, right: Mount, model and kinematics of each arm. Left out: the model of the other arm, if that is given,
             and otherwise a UR10 or, with controllers of the e-Series, a UR10e. A shorter arm stands nearer to the
             workspace.
@@ -268,7 +268,7 @@ class CellConfig:
         SettingsError: Another value is not legal.
     """
 
-    kind: CellKind = "mujoco"
+    kind: str = "mujoco"
     left: ArmMount = field(default_factory=lambda: default_mount(0))
     right: ArmMount = field(default_factory=lambda: default_mount(1))
     servoj: ServojProfile = field(default_factory=lambda: DEFAULT_SERVOJ)
@@ -293,12 +293,11 @@ class CellConfig:
     equipment: Equipment = field(default_factory=Equipment)
 
     def __post_init__(self) -> None:
-        if self.kind not in get_args(CellKind):
-            raise UnknownNameError("cell kind", str(self.kind), get_args(CellKind))
-        for name, kind in (("servoj", ServojProfile), ("perturbation", Perturbation), ("equipment", Equipment)):
-            if not isinstance(getattr(self, name), kind):
+        kind = cell_kind(self.kind)
+        for name, wanted in (("servoj", ServojProfile), ("perturbation", Perturbation), ("equipment", Equipment)):
+            if not isinstance(getattr(self, name), wanted):
                 raise SettingsError(
-                    f"{name} of the cell must be a {kind.__name__}, found {type(getattr(self, name)).__name__}"
+                    f"{name} of the cell must be a {wanted.__name__}, found {type(getattr(self, name)).__name__}"
                 )
         self._settle_models()
         if self.servoj.damping < LEAST_DAMPING:
@@ -325,8 +324,9 @@ class CellConfig:
             )
         if not 0.0 < _number("speed_factor", self.speed_factor) <= 1.0:
             raise SettingsError(f"speed_factor of the cell is {self.speed_factor!r}: it must be above 0 and at most 1")
-        if (self.kind in ("mujoco", "echo")) is not (self.file is None):
-            raise SettingsError(f"a cell of kind {self.kind!r} needs a cell file: pass its path as `cell`")
+        if kind.file is not (self.file is not None):
+            needs = "needs a cell file: pass its path as `cell`" if kind.file else "has no cell file: leave it out"
+            raise SettingsError(f"a cell of kind {self.kind!r} {needs}")
         checked_base_uncertainty(self.uncertainty)
         object.__setattr__(self, "tcp_m", checked_tcp(self.tcp_m))
         noise = self.wrench_noise
@@ -438,12 +438,17 @@ class CellConfig:
     @property
     def state_is_commanded(self) -> bool:
         """True if the state of the cell is what was commanded, and nothing is measured or simulated."""
-        return self.kind == "echo"
+        return cell_kind(self.kind).commanded
+
+    @property
+    def controllers(self) -> bool:
+        """True if arms outside of this program move."""
+        return cell_kind(self.kind).controllers
 
     @property
     def latency_ticks(self) -> int:
-        """Default action latency in ticks: that of two controllers, none without them."""
-        return 0 if self.file is None else math.ceil(LATENCY_S / self.servoj.tick_s - 1e-9)
+        """Default action latency in ticks: that of controllers, none without them."""
+        return math.ceil(LATENCY_S / self.servoj.tick_s - 1e-9) if self.controllers else 0
 
     @property
     def substeps(self) -> int:
@@ -473,3 +478,40 @@ def _number(name: str, value: object) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
         raise SettingsError(f"{name} of the cell is {value!r}: it must be a number")
     return float(value)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CellRequest:
+    """Request for a cell, from which the factory of its kind makes it.
+
+    Attributes:
+        config: Configuration, with a task's equipment.
+        ticks: Controller ticks per call of `Cell.advance`.
+        limits: Motion limits, which all targets keep already.
+        clearance: Distances between bodies, for motions to a start.
+        n: Number of cells.
+        threads: Number of threads to compute on.
+        latency_ticks: Delay of commands in ticks.
+        randomized: True if anything differs from episode to episode.
+        varied: Names of the values of `Perturbation` that differ from episode to episode.
+        contacts: True if bodies may touch.
+        coupled: True if both arms hold one object between them.
+        confirm: Called with a description before arms of controllers move to a start; None: the cell decides.
+        only: "left" or "right": the only arm that moves; None: both may.
+        system: Clock, network and threads.
+    """
+
+    config: CellConfig
+    ticks: int
+    limits: MotionLimits
+    clearance: Clearance
+    n: int = 1
+    threads: int = 1
+    latency_ticks: int = 0
+    randomized: bool = False
+    varied: tuple[str, ...] = ()
+    contacts: bool = True
+    coupled: bool = False
+    confirm: Callable[[str], bool] | None = None
+    only: str | None = None
+    system: System = LOCAL

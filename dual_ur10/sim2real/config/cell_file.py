@@ -21,6 +21,7 @@ from dual_ur10.assets.obstacles import Obstacle
 from dual_ur10.assets.settings import default_mount
 from dual_ur10.errors import CellFileError, SettingsError, UnknownNameError
 from dual_ur10.files import read_regular
+from dual_ur10.ids import discover
 from dual_ur10.kinematics.robots import MODEL_OF_FAMILY, ROBOTS
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import CellConfig, HostedCell
@@ -43,6 +44,7 @@ from dual_ur10.sim2real.config.cell_file_tables import (
     key,
 )
 from dual_ur10.sim2real.config.cell_file_text import KeyList, missing, toml_text
+from dual_ur10.sim2real.config.cell_kinds import CELL_KINDS
 from dual_ur10.sim2real.config.perturbation import Perturbation
 
 MAX_BYTES: Final = 64 * 1024
@@ -359,7 +361,8 @@ def resolve_cell(cell: object) -> CellConfig:
     """Return the configuration that the keyword `cell` of an environment stands for.
 
     Args:
-        cell: "mujoco", "echo", a `CellConfig`, the path of a cell file, or a `HostedCell`.
+        cell: "mujoco", "echo" or another kind without a cell file, a `CellConfig`, the path of a cell file, or a
+            `HostedCell`.
 
     Raises:
         UnknownNameError: None of them.
@@ -369,15 +372,15 @@ def resolve_cell(cell: object) -> CellConfig:
         return cell
     if isinstance(cell, HostedCell):
         return cell.config()
-    if isinstance(cell, str) and cell == "mujoco":
-        return CellConfig()
-    if isinstance(cell, str) and cell == "echo":
-        return CellConfig(kind="echo")
     if isinstance(cell, os.PathLike) or (isinstance(cell, str) and ("/" in cell or cell.endswith(".toml"))):
         return load_cell_file(os.fspath(cell)).config()
-    raise UnknownNameError(
-        "cell", str(cell), ("mujoco", "echo"), "the path of a cell file, such as lab.toml, or a CellConfig"
-    )
+    if isinstance(cell, str) and cell not in CELL_KINDS:
+        discover()
+    without_file = [name for name, kind in CELL_KINDS.items() if not kind.file]
+    if not isinstance(cell, str) or cell not in without_file:
+        other = "the path of a cell file, such as lab.toml, or a CellConfig"
+        raise UnknownNameError("cell", str(cell), without_file, other)
+    return CellConfig(kind=cell)
 
 
 def _text_of(path: str | Path) -> str:

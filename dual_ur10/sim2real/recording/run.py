@@ -21,7 +21,7 @@ from dual_ur10.types import Array, Mask
 LATE: Final = -1
 """Number of a target whose action missed its deadline: nothing of the action was sent."""
 
-Source = Literal["mujoco", "echo", "emulated", "real"]
+Source = Annotated[str, Field(pattern=r"^[A-Za-z]\w{0,39}$")]
 
 _STRICT: Final = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
 _MOST_TICKS: Final = 10_000
@@ -75,7 +75,8 @@ class Header:
         kwargs: Keywords of the environment, as far as JSON can hold them.
         seed: Seed of the first reset; None: no seed was given. A file's header is written before the first reset, so
             the reader takes the seed from the first episode.
-        source: "mujoco", "echo" (its states are what was commanded), "emulated" or "real".
+        source: Kind of the cell: "mujoco", "echo" (its states are what was commanded), "emulated", "real", or one that
+            was registered.
         family: "cb3" or "e-series".
         tick_s: Length of a control period.
         period_ticks: Control periods per step.

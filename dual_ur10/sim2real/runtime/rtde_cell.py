@@ -20,7 +20,7 @@ from dual_ur10.errors import ClosedError, DualUR10Error, LinkError, SettingsErro
 from dual_ur10.kinematics.rotations import quat_conjugate, quat_from_rotvec, quat_multiply, rotate
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.commissioning.operator_prompts import Confirm, prompt_for
-from dual_ur10.sim2real.config.cell import CellConfig, CellState, CellStep, Start
+from dual_ur10.sim2real.config.cell import CellConfig, CellRequest, CellState, CellStep, Start
 from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.control.adapter import GRIPPER_WIDTH_M, Command
 from dual_ur10.sim2real.control.clearance import Clearance
@@ -523,3 +523,22 @@ def _wrench_at_flange(status: ArmStatus) -> Array:
         rotation = quat_multiply(quat_from_rotvec(status.tcp_pose[3:]), quat_conjugate(quat_from_rotvec(offset[3:])))
         wrench[3:] += np.cross(rotate(rotation, np.array(offset[:3])), wrench[:3])
     return wrench
+
+
+def make_rtde_cell(request: CellRequest) -> RtdeCell:
+    """Make the cell of two controllers of a request.
+
+    Raises:
+        DualUR10Error: See `RtdeCell`.
+    """
+    return RtdeCell(
+        request.config,
+        request.ticks,
+        limits=request.limits,
+        clearance=request.clearance,
+        latency_ticks=request.latency_ticks,
+        coupled=request.coupled,
+        confirm=request.confirm,
+        only=request.only,
+        system=request.system,
+    )

@@ -1,9 +1,8 @@
-"""One arm's tree: ``ur10.xml``, fitted to the arm's model and corrected to its own Denavit-Hartenberg parameters."""
+"""One arm's `MjSpec`: ``ur10.xml``, fitted to its model and corrected to its own Denavit-Hartenberg parameters."""
 
 from __future__ import annotations
 
 import math
-import warnings
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,39 +21,30 @@ _Quat = tuple[float, float, float, float]
 _Pose = tuple[Array, _Quat]
 
 
-def composer() -> Any:
-    """Return dm_control's composer, imported late: it is heavy and tries every OpenGL backend."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # GLFW warns without a display; nothing is rendered here
-        from dm_control import mjcf  # type: ignore[import-untyped, unused-ignore]  # untyped
-    return mjcf
-
-
-def arm_tree(name: str, dh: DHParameters, gains: str) -> Any:
-    """Return the dm_control tree of one arm.
+def arm_spec(dh: DHParameters, gains: str) -> Any:
+    """Return the `MjSpec` of one arm.
 
     Args:
-        name: Name of the arm, the prefix of its names once it is attached.
         dh: Kinematics of the arm, which name its model.
         gains: Gains of the joint servos, a key of `GAINS`.
     """
-    arm = composer().from_path(str(_ARM_FILE))
-    arm.model = name
+    import mujoco  # type: ignore[import-untyped, unused-ignore]  # has no types of its own
+
+    arm = mujoco.MjSpec.from_file(str(_ARM_FILE))
     if dh.robot != "ur10":  # whom the file describes
         fit_bodies(arm, robot_model(dh.robot))
         fit_shape(arm, robot_model(dh.robot))
     _apply_dh(arm, dh)
     for joint, kp, kv in zip(JOINTS, *gains_of(dh.robot, gains), strict=True):
-        actuator = arm.find("actuator", joint)
-        actuator.kp, actuator.kv = kp, kv
+        arm.actuator(joint).set_to_position(kp=kp, kv=kv)
     return arm
 
 
-def remove_visuals(frame: Any) -> None:
-    """Remove the visual geoms of one arm."""
-    for geom in frame.find_all("geom"):
-        if geom.dclass is not None and geom.dclass.dclass == "visual":
-            geom.remove()
+def remove_visuals(arm: Any) -> None:
+    """Remove the visual geoms of one arm's spec."""
+    for geom in arm.geoms:
+        if geom.classname.name == "visual":
+            arm.delete(geom)
 
 
 def quat_z(angle_rad: float) -> _Quat:
@@ -70,23 +60,22 @@ def _apply_dh(arm: Any, dh: DHParameters) -> None:
     kinematics.
     """
     if dh.is_nominal:
-        return  # the tree holds the nominal arm
+        return  # the file holds the nominal arm
     slide = np.zeros(7)
     slide[2] = -dh.d_m[1] / math.cos(dh.alpha_rad[1])
     slide[3] = (slide[2] - dh.d_m[2]) / math.cos(dh.alpha_rad[2])
     nominal, corrected = _link_ends(nominal_dh(dh.robot), np.zeros(7)), _link_ends(dh, slide)
-    shoulder = arm.find("body", LINKS[0])
-    shoulder.quat = quat_multiply((0.0, 0.0, 0.0, 1.0), quat_z(dh.theta_rad[0]))
+    arm.body(LINKS[0]).quat = quat_multiply((0.0, 0.0, 0.0, 1.0), quat_z(dh.theta_rad[0]))
     for i, link in enumerate(LINKS):
-        body = arm.find("body", link)
+        body = arm.body(link)
         position, twist = corrected[i]
         if i < 5:
-            child = arm.find("body", LINKS[i + 1])
+            child = arm.body(LINKS[i + 1])
             child.pos, child.quat = position, quat_multiply(twist, quat_z(dh.theta_rad[i + 1]))
         else:
-            site = arm.find("site", "flange")
+            site = arm.site("flange")
             site.pos, site.quat = position, twist
-        _move_inertia(body.inertial, nominal[i], corrected[i])
+        _move_inertia(body, nominal[i], corrected[i])
 
 
 def _link_ends(dh: DHParameters, slide: Array) -> list[_Pose]:
@@ -110,13 +99,13 @@ def _link_ends(dh: DHParameters, slide: Array) -> list[_Pose]:
     return poses
 
 
-def _move_inertia(inertial: Any, old: _Pose, new: _Pose) -> None:
-    """Move an inertia along with the distal frame in which it is given."""
+def _move_inertia(body: Any, old: _Pose, new: _Pose) -> None:
+    """Move a body's inertia along with the distal frame in which it is given."""
     rotation = _matrix(new[1]) @ _matrix(old[1]).T
-    ixx, iyy, izz, ixy, ixz, iyz = inertial.fullinertia
+    ixx, iyy, izz, ixy, ixz, iyz = body.fullinertia
     inertia = rotation @ np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]]) @ rotation.T
-    inertial.pos = new[0] + rotation @ (inertial.pos - old[0])
-    inertial.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    body.ipos = new[0] + rotation @ (body.ipos - old[0])
+    body.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
 
 def _matrix(quat: _Quat) -> Array:

@@ -1,4 +1,4 @@
-"""Arms of other models from the tree of `ur10.xml`: frames and inertias, drawn parts and collision capsules.
+"""Arms of other models from the spec of `ur10.xml`: frames and inertias, drawn parts and collision capsules.
 
 Housings keep their proportions, scaled by the estimated radius of their joint. Tubes stretch between them. Along the
 axes of the parallel joints, upper arm and forearm lie where the model's `tube_offsets_m` put them.
@@ -54,43 +54,39 @@ class _Stretch:
 
 
 def fit_bodies(arm: Any, model: RobotModel) -> None:
-    """Set frames, inertias, torque limits and rotor inertias of a tree of `ur10.xml` to those of another model.
+    """Set frames, inertias, torque limits and rotor inertias of a spec of `ur10.xml` to those of another model.
 
     Args:
-        arm: dm_control tree of one arm.
+        arm: `MjSpec` of one arm.
         model: Facts of the model.
     """
     dh, armature = nominal_dh(model.name), model.armature_kg_m2
-    distal = [*(arm.find("body", link) for link in LINKS[1:]), arm.find("site", "flange")]
+    distal = [*(arm.body(link) for link in LINKS[1:]), arm.site("flange")]
     for i, link in enumerate(LINKS):
         end, cos, sin = np.array([dh.a_m[i], 0.0, dh.d_m[i]]), np.cos(dh.alpha_rad[i]), np.sin(dh.alpha_rad[i])
         turn = np.array([[1.0, 0.0, 0.0], [0.0, cos, -sin], [0.0, sin, cos]])
         xx, yy, zz, xy, xz, yz = model.inertia_kg_m2[i]
         inertia = turn @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ turn.T
-        inertial, joint, torque = (
-            arm.find("body", link).inertial,
-            arm.find("joint", JOINTS[i]),
-            model.joint_torque_nm[i],
-        )
+        body, joint, torque = arm.body(link), arm.joint(JOINTS[i]), model.joint_torque_nm[i]
         distal[i].pos = end
-        inertial.mass, inertial.pos = model.mass_kg[i], end + turn @ np.array(model.com_m[i])
-        inertial.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-        joint.actuatorfrcrange, joint.armature = (-torque, torque), armature[i]
+        body.mass, body.ipos = model.mass_kg[i], end + turn @ np.array(model.com_m[i])
+        body.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        joint.actfrcrange, joint.armature = (-torque, torque), armature[i]
 
 
 def fit_shape(arm: Any, model: RobotModel) -> None:
-    """Move and scale the geoms of a tree of `ur10.xml` to those of another model.
+    """Move and scale the geoms of a spec of `ur10.xml` to those of another model.
 
     Args:
-        arm: dm_control tree of one arm.
+        arm: `MjSpec` of one arm.
         model: Facts of the model.
     """
     shape = _Shape(model)
     for link in ("base_link", *LINKS):
-        for geom in arm.find("body", link).geom:
-            both = geom.fromto is not None
+        for geom in arm.body(link).geoms:
+            both = not np.isnan(geom.fromto[0])
             points = np.reshape(geom.fromto if both else geom.pos, (-1, 3))
-            geom.size = np.asarray(geom.size) * shape.ratio(link, points, whole=geom.dclass.dclass == "collision")
+            geom.size = geom.size * shape.ratio(link, points, whole=geom.classname.name == "collision")
             moved = shape.moved(link, points)
             if both:
                 geom.fromto = moved.ravel()

@@ -10,8 +10,8 @@ that comes to take the prop, and is not level, would be refused for an object th
 
 from __future__ import annotations
 
+import copy
 import itertools
-import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
@@ -19,18 +19,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from dual_ur10.assets.arm import remove_visuals
-from dual_ur10.assets.cell_tree import (
-    add_obstacles,
-    cell_tree,
-    child_of,
-    compiled,
-    document_of,
-    joint_names,
-    text_of,
-    xml_numbers,
-)
-from dual_ur10.assets.gripper import TCP_M
+from dual_ur10.assets.arm import arm_spec, remove_visuals
+from dual_ur10.assets.cell_spec import add_obstacles, attach_arm, cell_spec, compiled, joint_names
+from dual_ur10.assets.gripper import TCP_M, add_gripper
 from dual_ur10.assets.obstacles import geom_name
 from dual_ur10.assets.props import BAR_LENGTH_M, BAR_WIDTH_M, BLOCK_GRIP_M, BLOCK_SIZE_M, GRIP_DISTANCE_M
 from dual_ur10.assets.settings import Equipment, SceneSettings
@@ -138,9 +129,8 @@ def clearance_pairs(settings: SceneSettings) -> tuple[tuple[str, str], ...]:
     return pairs + _obstacle_pairs(settings) if settings.obstacles else pairs
 
 
-@lru_cache(maxsize=32)
-def compose_collision_model(settings: SceneSettings) -> str:
-    """Return the MJCF text of the cell's collision model.
+def compose_collision_model(settings: SceneSettings) -> Any:
+    """Return a fresh `MjSpec` of the cell's collision model.
 
     It has the arms' joints in the cell's order and no visuals, contacts, actuators or gravity, so that one `forward` up
     to the position stage gives all distances. Sensor i is the signed distance in m of the collision geoms
@@ -152,38 +142,41 @@ def compose_collision_model(settings: SceneSettings) -> str:
 
     Args:
         settings: Settings of the cell; `gains` and `meshes` have no effect.
-
-    Returns:
-        The text; the same object for equal settings.
     """
-    root = cell_tree(settings, rigid=True)
-    root.compiler.fusestatic = True
-    for arm in ARMS:
-        frame = root.find("attachment_frame", arm)
-        remove_visuals(frame)
-        _add_balls(frame)
+    import mujoco
+
+    spec = cell_spec(settings)
+    spec.compiler.fusestatic = True
+    for name, mount in zip(ARMS, settings.mounts, strict=True):
+        arm = arm_spec(mount.dh, settings.gains)
+        remove_visuals(arm)
+        if settings.equipment.grippers:
+            add_gripper(arm, settings, rigid=True)
+        _add_balls(arm)
         if (prop := _payload(settings)) is not None:
-            add_payload_geometry(root.find("body", f"{arm}/gripper"), arm, prop)
-    for unused in (
-        *root.find_all("actuator"),
-        *root.find_all("contact"),
-        *root.find_all("equality"),
-        *root.find_all("tendon"),
-    ):
-        unused.remove()
-    for name in ("contact", "gravity", "constraint", "actuation"):
-        setattr(root.option.flag, name, "disable")
-    document = document_of(root)
-    add_obstacles(document, settings.obstacles)
-    add_hulls(document)
-    sensors = child_of(document, "sensor")
+            add_payload_geometry(arm.body("gripper"), name, prop)
+        for unused in (*arm.actuators, *arm.excludes):
+            arm.delete(unused)
+        attach_arm(spec, arm, name, mount)
+    bits = mujoco.mjtDisableBit
+    spec.option.disableflags |= (
+        bits.mjDSBL_CONTACT | bits.mjDSBL_GRAVITY | bits.mjDSBL_CONSTRAINT | bits.mjDSBL_ACTUATION
+    )
+    add_obstacles(spec, settings.obstacles)
+    add_hulls(spec)
     shapes = {"table": "box"} | {geom_name(each): each.kind for each in settings.obstacles}
     for geom1, geom2 in clearance_pairs(settings):
         first, second = _measured(geom1, geom2, shapes)
-        ET.SubElement(
-            sensors, "distance", name=f"{geom1}:{geom2}", geom1=first, geom2=second, cutoff=repr(CLEARANCE_CUTOFF_M)
+        spec.add_sensor(
+            name=f"{geom1}:{geom2}",
+            type=mujoco.mjtSensor.mjSENS_GEOMDIST,
+            objtype=mujoco.mjtObj.mjOBJ_GEOM,
+            objname=first,
+            reftype=mujoco.mjtObj.mjOBJ_GEOM,
+            refname=second,
+            cutoff=CLEARANCE_CUTOFF_M,
         )
-    return text_of(document)
+    return spec
 
 
 def build_collision_model(settings: SceneSettings) -> mujoco.MjModel:
@@ -195,6 +188,11 @@ def build_collision_model(settings: SceneSettings) -> mujoco.MjModel:
     Returns:
         The compiled model; its `sensordata` has one distance per pair of `clearance_pairs(settings)`.
     """
+    return copy.copy(_model(settings))  # compiling takes ten times as long
+
+
+@lru_cache(maxsize=16)
+def _model(settings: SceneSettings) -> mujoco.MjModel:
     bare = replace(settings, equipment=Equipment())
     return compiled(compose_collision_model(settings), joint_names(bare), ())
 
@@ -204,7 +202,7 @@ def hull_name(box: str) -> str:
     return box + HULL
 
 
-def add_hulls(document: ET.Element) -> None:
+def add_hulls(spec: Any) -> None:
     """Give every box of the world a second geom of the same shape, a mesh.
 
     MuJoCo's own distance of a capsule from a box is wrong where the capsule's line pierces it: a link that pierces a
@@ -212,30 +210,32 @@ def add_hulls(document: ET.Element) -> None:
     the kernel both are the box.
 
     Args:
-        document: MJCF of a collision model.
+        spec: Spec of a collision model.
     """
-    world, asset = child_of(document, "worldbody"), child_of(document, "asset")
-    for box in [geom for geom in world.findall("geom") if geom.get("type") == "box"]:
-        name = hull_name(box.attrib["name"])
-        corners = itertools.product(*((-float(half), float(half)) for half in box.attrib["size"].split()))
-        ET.SubElement(asset, "mesh", name=name, vertex=xml_numbers(*itertools.chain(*corners)))
-        pose = {key: value for key, value in box.attrib.items() if key in ("pos", "quat")}
-        ET.SubElement(world, "geom", {"name": name, "type": "mesh", "mesh": name, **pose})
+    import mujoco
+
+    for box in [geom for geom in spec.worldbody.geoms if geom.type == mujoco.mjtGeom.mjGEOM_BOX]:
+        name = hull_name(box.name)
+        corners = itertools.product(*((-half, half) for half in box.size.tolist()))
+        spec.add_mesh(name=name, uservert=[*itertools.chain(*corners)])
+        spec.worldbody.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, pos=box.pos, quat=box.quat)
 
 
 def add_payload_geometry(gripper: Any, arm: str, prop: str) -> None:
     """Add the payload geometry to a gripper's body, without a mass: that of the body is explicit.
 
     Args:
-        gripper: Body of a gripper in dm_control's tree.
+        gripper: Body of a gripper in an arm's spec.
         arm: "left" or "right".
         prop: Name of the prop.
     """
+    import mujoco
+
     first, last = _along_m(prop)
     side = 1.0 if arm == ARMS[0] else -1.0
     width = BAR_WIDTH_M if prop == "bar" else BLOCK_SIZE_M[1]
     fromto = (side * (first + width / 2), 0, TCP_M, side * (last - width / 2), 0, TCP_M)
-    gripper.add("geom", name=HELD, type="capsule", fromto=fromto, size=(width / 2,))
+    gripper.add_geom(name=HELD, type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=fromto, size=(width / 2, 0, 0))
 
 
 def _along_m(prop: str) -> tuple[float, float]:
@@ -272,13 +272,17 @@ def _without_corners(geom: str, other_part: str) -> str:
     return f"{geom}_round" if geom.endswith("/fingers") and other_part not in _GRIPPER else geom
 
 
-def _add_balls(frame: Any) -> None:
+def _add_balls(arm: Any) -> None:
     """Put the smallest sphere around each wrist's capsule."""
-    for geom in frame.find_all("geom"):
-        if geom.name in _ROUND:
-            first, last = np.reshape(geom.fromto, (2, 3))
-            radius = float(geom.size[0] + np.linalg.norm(last - first) / 2)
-            geom.parent.add("geom", name=_ball(geom.name), type="sphere", size=(radius,), pos=(first + last) / 2)
+    import mujoco
+
+    for name in _ROUND:
+        geom = arm.geom(name)
+        first, last = np.reshape(geom.fromto, (2, 3))
+        radius = float(geom.size[0] + np.linalg.norm(last - first) / 2)
+        geom.parent.add_geom(
+            name=_ball(name), type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(radius, 0, 0), pos=(first + last) / 2
+        )
 
 
 def reach_m(model: mujoco.MjModel, settings: SceneSettings, geom: int) -> tuple[int, float]:

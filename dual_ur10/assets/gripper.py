@@ -60,7 +60,8 @@ _ARMATURE_KG: Final = 1.0
 KP_N_M: Final = 20_000.0
 _KV: Final = 220.0
 
-_RIGID: Final = (0.99, 0.999, 0.001)
+RIGID: Final = (0.99, 0.999, 0.001, 0.5, 2.0)
+"""`solimp` of contacts and constraints that hardly yield."""
 
 
 def stiff(timestep_s: float) -> tuple[float, float]:
@@ -69,123 +70,125 @@ def stiff(timestep_s: float) -> tuple[float, float]:
 
 
 def add_gripper(arm: Any, settings: SceneSettings, *, rigid: bool = False) -> None:
-    """Put a gripper on the flange of one arm's tree.
+    """Put a gripper on the flange of one arm's spec.
 
     Args:
-        arm: dm_control tree of `arm.arm_tree`.
+        arm: `MjSpec` of `arm.arm_spec`.
         settings: Settings of the cell.
         rigid: For the collision model: no joints and no actuator, the fingers' mass at half opening, and a box
             `fingers` and a capsule `fingers_round` around all positions of the fingers.
     """
-    flange = arm.find("site", "flange")
-    body = arm.find("body", "wrist_3_link").add("body", name="gripper", pos=flange.pos, quat=flange.quat, gravcomp=1)
-    body.add(
-        "inertial",
-        mass=MASS_KG - 2 * _FINGER_MASS_KG,
-        pos=(0, 0, 0.047),
-        diaginertia=box_inertia(MASS_KG - 2 * _FINGER_MASS_KG, 0.07, 0.10, PALM_LENGTH_M),
+    flange, solid = arm.site("flange"), arm.find_default("collision")
+    mass = MASS_KG - 2 * _FINGER_MASS_KG
+    body = arm.body("wrist_3_link").add_body(
+        name="gripper",
+        pos=flange.pos,
+        quat=flange.quat,
+        gravcomp=1,
+        mass=mass,
+        ipos=(0, 0, 0.047),
+        inertia=box_inertia(mass, 0.07, 0.10, PALM_LENGTH_M),
+        explicitinertial=True,
     )
-    body.add("site", name="wrench")
-    body.add("site", name="tcp", pos=(0, 0, TCP_M))
-    body.add(
-        "geom",
-        dclass=_solid(body),
+    body.add_site(name="wrench")
+    body.add_site(name="tcp", pos=(0, 0, TCP_M))
+    body.add_geom(
+        solid,
         name="palm",
         fromto=(0, -_PALM_HALF_M, _PALM_Z_M, 0, _PALM_HALF_M, _PALM_Z_M),
-        size=(_PALM_RADIUS_M,),
+        size=(_PALM_RADIUS_M, 0, 0),
     )
     for i, sign in ((1, 1), (2, -1)):
-        _add_finger(body, i, sign, settings, rigid=rigid)
+        _add_finger(body, solid, i, sign, settings, rigid=rigid)
     if rigid:
-        _add_reach(body)
+        _add_reach(body, solid)
     else:
         _couple(arm, settings)
 
 
-def _add_reach(palm: Any) -> None:
+def _add_reach(palm: Any, solid: Any) -> None:
     """Add a box around all positions of the fingers, and a capsule along y around that box."""
+    import mujoco
+
     half = np.array([_FINGER_HALF_X_M, OPENING_M / 2 + _FINGER_THICK_M, (FINGERTIP_M - PALM_LENGTH_M) / 2])
     z = FINGERTIP_M - half[2]
-    palm.add("geom", dclass=_solid(palm), name="fingers", type="box", pos=(0, 0, z), size=half)
+    palm.add_geom(solid, name="fingers", type=mujoco.mjtGeom.mjGEOM_BOX, pos=(0, 0, z), size=half)
     along = half[1] - 0.025
     radius = math.hypot(half[0], half[1] - along, half[2])
-    fromto = (0, -along, z, 0, along, z)
-    palm.add("geom", dclass=_solid(palm), name="fingers_round", fromto=fromto, size=(radius,))
+    palm.add_geom(solid, name="fingers_round", fromto=(0, -along, z, 0, along, z), size=(radius, 0, 0))
 
 
-def _add_finger(palm: Any, i: int, sign: int, settings: SceneSettings, *, rigid: bool) -> None:
+def _add_finger(palm: Any, solid: Any, i: int, sign: int, settings: SceneSettings, *, rigid: bool) -> None:
+    import mujoco
+
     open_m = OPENING_M / 4 if rigid else 0.0
-    finger = palm.add("body", name=f"finger_{i}", pos=(0, sign * open_m, 0), gravcomp=1)
     middle_m = (PALM_LENGTH_M + FINGERTIP_M) / 2
-    finger.add(
-        "inertial",
+    finger = palm.add_body(
+        name=f"finger_{i}",
+        pos=(0, sign * open_m, 0),
+        gravcomp=1,
         mass=_FINGER_MASS_KG,
-        pos=(0, sign * _FINGER_THICK_M / 2, middle_m),
-        diaginertia=box_inertia(_FINGER_MASS_KG, 0.022, _FINGER_THICK_M, FINGERTIP_M - PALM_LENGTH_M),
+        ipos=(0, sign * _FINGER_THICK_M / 2, middle_m),
+        inertia=box_inertia(_FINGER_MASS_KG, 0.022, _FINGER_THICK_M, FINGERTIP_M - PALM_LENGTH_M),
+        explicitinertial=True,
     )
     if rigid:
         return
-    finger.add(
-        "joint",
+    finger.add_joint(
         name=f"finger_{i}_joint",
-        type="slide",
+        type=mujoco.mjtJoint.mjJNT_SLIDE,
         axis=(0, sign, 0),
         range=(0, OPENING_M / 2),
         armature=_ARMATURE_KG,
-        solreflimit=stiff(settings.timestep_s),
+        solref_limit=stiff(settings.timestep_s),
     )
     depth_m = _FINGER_THICK_M - PAD_THICK_M
-    finger.add(
-        "geom",
-        dclass=_solid(finger),
+    finger.add_geom(
+        solid,
         name=f"finger_{i}",
-        type="box",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
         pos=(0, sign * (PAD_THICK_M + depth_m / 2), middle_m),
         size=(_FINGER_HALF_X_M, depth_m / 2, (FINGERTIP_M - PALM_LENGTH_M) / 2),
     )
-    finger.add(
-        "geom",
-        dclass=_solid(finger),
+    finger.add_geom(
+        solid,
         name=f"pad_{i}",
-        type="box",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
         pos=(0, sign * PAD_THICK_M / 2, TCP_M),
         size=(PAD_WIDTH_M / 2, PAD_THICK_M / 2, PAD_LENGTH_M / 2),
         friction=(1.0, 0.02, 0.0001),
         priority=1,
         condim=4,
         solref=stiff(settings.timestep_s),
-        solimp=_RIGID,
+        solimp=RIGID,
     )
 
 
 def _couple(arm: Any, settings: SceneSettings) -> None:
-    arm.contact.add("exclude", name="fingers", body1="finger_1", body2="finger_2")
-    arm.equality.add(
-        "joint",
+    import mujoco
+
+    arm.add_exclude(name="fingers", bodyname1="finger_1", bodyname2="finger_2")
+    equality = arm.add_equality(
         name="fingers",
-        joint1=FINGER_JOINTS[0],
-        joint2=FINGER_JOINTS[1],
-        polycoef=(0, 1, 0, 0, 0),
+        type=mujoco.mjtEq.mjEQ_JOINT,
+        name1=FINGER_JOINTS[0],
+        name2=FINGER_JOINTS[1],
         solref=stiff(settings.timestep_s),
-        solimp=_RIGID,
+        solimp=RIGID,
     )
-    opening = arm.tendon.add("fixed", name="opening")
+    equality.data[:5] = (0, 1, 0, 0, 0)  # finger 1 is where finger 2 is
+    opening = arm.add_tendon(name="opening")
     for joint in FINGER_JOINTS:
-        opening.add("joint", joint=joint, coef=1)
+        opening.wrap_joint(joint, 1)
     force = settings.equipment.grip_force_n
-    arm.actuator.add(
-        "position",
+    servo = arm.add_actuator(
         name="gripper",
-        tendon="opening",
-        kp=KP_N_M,
-        kv=_KV,
+        trntype=mujoco.mjtTrn.mjTRN_TENDON,
+        target="opening",
         ctrlrange=(0, OPENING_M),
         forcerange=(-force, force),
     )
-
-
-def _solid(body: Any) -> Any:
-    return body.root.find("default", "collision")
+    servo.set_to_position(kp=KP_N_M, kv=_KV)
 
 
 def box_inertia(mass_kg: float, x_m: float, y_m: float, z_m: float) -> Vector3:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-import xml.etree.ElementTree as ET
 from typing import Any, Final
 
-from dual_ur10.assets.cell_tree import child_of
-from dual_ur10.assets.gripper import box_inertia, stiff
+from dual_ur10.assets.gripper import RIGID, box_inertia, stiff
 from dual_ur10.assets.settings import PROPS, SceneSettings
 from dual_ur10.errors import UnknownNameError
 from dual_ur10.kinematics.ur10 import ARMS
@@ -68,49 +66,57 @@ def prop_size_m(prop: str) -> Vector3:
     return (BAR_WIDTH_M, BAR_LENGTH_M, BAR_WIDTH_M) if prop == "bar" else BLOCK_SIZE_M
 
 
-def add_prop(root: Any, settings: SceneSettings) -> None:
+def add_prop(spec: Any, settings: SceneSettings) -> None:
     """Add the prop of these settings, if any, at the origin of the table; after the arms, whose joints come first."""
+    import mujoco
+
     prop = settings.equipment.prop
     if prop is None:
         return
     x, y, z = prop_size_m(prop)
     mass = BAR_MASS_KG if prop == "bar" else BLOCK_MASS_KG
-    body = root.worldbody.add("body", name=prop, pos=(0, 0, z / 2))
-    body.add("freejoint", name=prop)
-    body.add("inertial", mass=mass, pos=(0, 0, 0), diaginertia=box_inertia(mass, x, y, z))
-    body.add(
-        "geom",
+    body = spec.worldbody.add_body(
         name=prop,
-        type="box",
+        pos=(0, 0, z / 2),
+        mass=mass,
+        ipos=(0, 0, 0),
+        inertia=box_inertia(mass, x, y, z),
+        explicitinertial=True,
+    )
+    body.add_freejoint(name=prop)
+    body.add_geom(
+        name=prop,
+        type=mujoco.mjtGeom.mjGEOM_BOX,
         size=(x / 2, y / 2, z / 2),
         group=3,
         condim=4,
         rgba=(0.9, 0.5, 0.2, 0.5),
         solref=stiff(settings.timestep_s),
-        solimp=(0.99, 0.999, 0.001),
+        solimp=RIGID,
     )
     if prop == "bar":
         for arm, sign in zip(ARMS, (1, -1), strict=True):
-            body.add("site", name=f"{arm}_grip", pos=(0, sign * GRIP_DISTANCE_M / 2, 0), quat=GRIP_QUAT, group=4)
+            body.add_site(name=f"{arm}_grip", pos=(0, sign * GRIP_DISTANCE_M / 2, 0), quat=GRIP_QUAT, group=4)
     else:
         # Target of the block. The model without visuals has it too, so that both have the same state.
-        root.worldbody.add("body", name="target", mocap="true", pos=(0, -0.3, z / 2))
+        spec.worldbody.add_body(name="target", mocap=True, pos=(0, -0.3, z / 2))
 
 
-def weld_bar(document: ET.Element) -> None:
+def weld_bar(spec: Any) -> None:
     """Weld both grippers to the bar's grips, and exclude their contacts with it."""
-    equality, contact = child_of(document, "equality"), child_of(document, "contact")
+    import mujoco
+
     for arm in ARMS:
         # Between sites: the anchor of a weld of bodies is easily misread. With MuJoCo's default solimp, 5 N·m would
         # rotate the gripper by 0.1° against the bar; with this one it is 0.006°.
-        ET.SubElement(
-            equality,
-            "weld",
+        spec.add_equality(
             name=f"{arm}_grip",
-            site1=f"{arm}/tcp",
-            site2=f"{arm}_grip",
-            solref="0.004 1",
-            solimp="0.999 0.999 0.001",
+            type=mujoco.mjtEq.mjEQ_WELD,
+            objtype=mujoco.mjtObj.mjOBJ_SITE,
+            name1=f"{arm}/tcp",
+            name2=f"{arm}_grip",
+            solref=(0.004, 1),
+            solimp=(0.999, 0.999, 0.001, 0.5, 2.0),
         )
         for body in ("gripper", "finger_1", "finger_2"):
-            ET.SubElement(contact, "exclude", name=f"{arm}-{body}", body1=f"{arm}/{body}", body2="bar")
+            spec.add_exclude(name=f"{arm}-{body}", bodyname1=f"{arm}/{body}", bodyname2="bar")

@@ -1,42 +1,33 @@
 """The cell: two UR10s as ``left/`` and ``right/``, a table between them, floor, lights and cameras.
 
-[compose][dual_ur10.assets.scene.compose] writes the MJCF of a cell, cached per settings;
-[build_model][dual_ur10.assets.scene.build_model] compiles a fresh model, which the caller may change. Distances are
-measured with [collision_model][dual_ur10.assets.collision_model]. Importing this module loads neither mujoco nor
-dm_control.
+[compose][dual_ur10.assets.scene.compose] makes the `MjSpec` of a cell;
+[build_model][dual_ur10.assets.scene.build_model] returns its model, compiled once per settings, as a copy that the
+caller may change. Distances are measured with [collision_model][dual_ur10.assets.collision_model]. Importing this
+module does not load mujoco.
 
 Cell frame: origin on the table top midway between the arms' workspaces, x forward (away from the bases), y left, z up.
 """
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
+import copy
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from dual_ur10.assets.arm import remove_visuals
-from dual_ur10.assets.cell_tree import (
-    actuator_names,
-    add_obstacles,
-    cell_tree,
-    child_of,
-    compiled,
-    document_of,
-    joint_names,
-    text_of,
-)
+from dual_ur10.assets.arm import arm_spec, remove_visuals
+from dual_ur10.assets.cell_spec import actuator_names, add_obstacles, attach_arm, cell_spec, compiled, joint_names
+from dual_ur10.assets.gripper import add_gripper
 from dual_ur10.assets.props import add_prop, weld_bar
 from dual_ur10.assets.settings import SceneSettings
-from dual_ur10.assets.visuals import add_surroundings, draw_grippers, draw_prop, use_meshes
+from dual_ur10.assets.visuals import add_surroundings, draw_gripper, draw_prop, use_meshes
 from dual_ur10.kinematics.ur10 import ARMS
 
 if TYPE_CHECKING:
     import mujoco  # type: ignore[import-untyped, unused-ignore]  # has no types of its own
 
 
-@lru_cache(maxsize=32)
-def compose(settings: SceneSettings, *, visuals: bool = True) -> str:
-    """Return the MJCF text of the whole cell.
+def compose(settings: SceneSettings, *, visuals: bool = True) -> Any:
+    """Return a fresh `MjSpec` of the whole cell: `to_xml()` writes it as MJCF.
 
     Joints, actuators and degrees of freedom: the left arm's six, then the right arm's six. With grippers, each arm's
     are followed by its gripper's (two finger joints, one actuator: the opening in m). A prop's free joint is the last.
@@ -50,33 +41,33 @@ def compose(settings: SceneSettings, *, visuals: bool = True) -> str:
         visuals: Include the visual-only parts. Without them the model has the same state and dynamics, and a step
             costs a quarter less: simulate without, render with.
 
-    Returns:
-        The text; the same object for equal settings.
-
     Raises:
         MissingExtraError: `settings.meshes` is set and `example-robot-data` is not installed.
     """
-    root = cell_tree(settings)
-    add_prop(root, settings)
+    spec = cell_spec(settings)
     if visuals:
-        add_surroundings(root, settings)
-        if settings.equipment.prop:
-            draw_prop(root, settings.equipment.prop)
+        add_surroundings(spec, settings)
+    for name, mount in zip(ARMS, settings.mounts, strict=True):
+        arm = arm_spec(mount.dh, settings.gains)
+        if not visuals:
+            remove_visuals(arm)
         if settings.equipment.grippers:
-            draw_grippers(root)
-    else:
-        for arm in ARMS:
-            remove_visuals(root.find("attachment_frame", arm))
-    document = document_of(root)
-    add_obstacles(document, settings.obstacles)
-    _add_flange_sensors(document)
+            add_gripper(arm, settings)
+            if visuals:
+                draw_gripper(arm)
+        attach_arm(spec, arm, name, mount)
+    add_prop(spec, settings)
+    if visuals and settings.equipment.prop:
+        draw_prop(spec, settings.equipment.prop)
+    add_obstacles(spec, settings.obstacles)
+    _add_flange_sensors(spec)
     if settings.equipment.grippers:
-        _add_wrench_sensors(document)
+        _add_wrench_sensors(spec)
     if settings.equipment.welded:
-        weld_bar(document)
+        weld_bar(spec)
     if settings.meshes and visuals:
-        use_meshes(document)
-    return text_of(document)
+        use_meshes(spec)
+    return spec
 
 
 def build_model(settings: SceneSettings, *, visuals: bool = True) -> mujoco.MjModel:
@@ -92,6 +83,11 @@ def build_model(settings: SceneSettings, *, visuals: bool = True) -> mujoco.MjMo
     Raises:
         MissingExtraError: `settings.meshes` is set and `example-robot-data` is not installed.
     """
+    return copy.copy(_model(settings, visuals))  # compiling takes ten times as long
+
+
+@lru_cache(maxsize=16)
+def _model(settings: SceneSettings, visuals: bool) -> mujoco.MjModel:
     return compiled(compose(settings, visuals=visuals), joint_names(settings), actuator_names(settings))
 
 
@@ -103,23 +99,26 @@ def sensor_slices(model: mujoco.MjModel) -> dict[str, slice]:
     }
 
 
-def _add_flange_sensors(document: ET.Element) -> None:
-    # Here and not in the dm_control tree: that one sorts sensors by arm and lets no name hold a slash.
-    sensors = child_of(document, "sensor")
-    for tag, suffix, relative in (
-        ("framepos", "flange_base_pos", True),
-        ("framequat", "flange_base_quat", True),
-        ("framepos", "flange_pos", False),
+def _add_flange_sensors(spec: Any) -> None:
+    import mujoco
+
+    kinds, site = mujoco.mjtSensor, mujoco.mjtObj.mjOBJ_SITE
+    for kind, suffix, relative in (
+        (kinds.mjSENS_FRAMEPOS, "flange_base_pos", True),
+        (kinds.mjSENS_FRAMEQUAT, "flange_base_quat", True),
+        (kinds.mjSENS_FRAMEPOS, "flange_pos", False),
     ):
         for arm in ARMS:
-            attributes = {"name": f"{arm}/{suffix}", "objtype": "site", "objname": f"{arm}/flange"}
-            if relative:
-                attributes |= {"reftype": "site", "refname": f"{arm}/base"}
-            ET.SubElement(sensors, tag, attributes)
+            reference = {"reftype": site, "refname": f"{arm}/base"} if relative else {}
+            spec.add_sensor(name=f"{arm}/{suffix}", type=kind, objtype=site, objname=f"{arm}/flange", **reference)
 
 
-def _add_wrench_sensors(document: ET.Element) -> None:
-    sensors = child_of(document, "sensor")
-    for kind in ("force", "torque"):
+def _add_wrench_sensors(spec: Any) -> None:
+    import mujoco
+
+    kinds = {"force": mujoco.mjtSensor.mjSENS_FORCE, "torque": mujoco.mjtSensor.mjSENS_TORQUE}
+    for word, kind in kinds.items():
         for arm in ARMS:
-            ET.SubElement(sensors, kind, name=f"{arm}/wrench_{kind}", site=f"{arm}/wrench")
+            spec.add_sensor(
+                name=f"{arm}/wrench_{word}", type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=f"{arm}/wrench"
+            )

@@ -7,17 +7,15 @@ from __future__ import annotations
 
 import importlib.metadata
 import math
-import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from dual_ur10.assets.cell_tree import child_of
 from dual_ur10.assets.gripper import FINGERTIP_M, PAD_LENGTH_M, PAD_THICK_M, PAD_WIDTH_M, PALM_LENGTH_M, TCP_M
 from dual_ur10.assets.props import BAR_LENGTH_M, BAR_WIDTH_M, BLOCK_SIZE_M, GRIP_DISTANCE_M
 from dual_ur10.assets.settings import TABLE_THICKNESS_M, SceneSettings
-from dual_ur10.errors import DualUR10Error, MissingExtraError
+from dual_ur10.errors import MissingExtraError
 from dual_ur10.kinematics.frames import FLOOR_Z_M
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.types import Vector3
@@ -38,21 +36,23 @@ def cameras(settings: SceneSettings) -> tuple[str, ...]:
     return (*CAMERAS, *(f"{arm}/wrist" for arm in ARMS)) if settings.equipment.grippers else CAMERAS
 
 
-def add_surroundings(root: Any, settings: SceneSettings) -> None:
-    """Add materials, sky, lights, cameras, table legs and pedestals."""
-    root.statistic.center = (-0.2, 0.0, 0.25)
-    root.statistic.extent = 1.6
-    getattr(root.visual, "global").offwidth = 1920
-    getattr(root.visual, "global").offheight = 1080
-    root.visual.headlight.ambient = (0.35, 0.35, 0.35)
-    root.visual.headlight.diffuse = (0.25, 0.25, 0.25)
-    root.visual.headlight.specular = (0.1, 0.1, 0.1)
-    root.visual.quality.shadowsize = 4096
-    root.visual.map.znear = 0.02
-    _add_materials(root)
-    for position, strength, shadow in (((0.6, 0.9, 3.5), 0.5, "true"), ((-1.0, -2.5, 3.0), 0.3, "false")):
-        root.worldbody.add(
-            "light",
+def add_surroundings(spec: Any, settings: SceneSettings) -> None:
+    """Add materials, also those of the prop, sky, lights, cameras, table legs and pedestals."""
+    spec.stat.center = (-0.2, 0.0, 0.25)
+    spec.stat.extent = 1.6
+    spec.visual.global_.offwidth = 1920
+    spec.visual.global_.offheight = 1080
+    spec.visual.headlight.ambient = (0.35, 0.35, 0.35)
+    spec.visual.headlight.diffuse = (0.25, 0.25, 0.25)
+    spec.visual.headlight.specular = (0.1, 0.1, 0.1)
+    spec.visual.quality.shadowsize = 4096
+    spec.visual.map.znear = 0.02
+    _add_materials(spec)
+    if settings.equipment.prop:
+        for name, (rgba, specular, shininess) in _PROP_MATERIALS.items():
+            spec.add_material(name=name, rgba=rgba, specular=specular, shininess=shininess)
+    for position, strength, shadow in (((0.6, 0.9, 3.5), 0.5, True), ((-1.0, -2.5, 3.0), 0.3, False)):
+        spec.worldbody.add_light(
             pos=position,
             dir=(-0.2 - position[0], -position[1], 0.2 - position[2]),
             cutoff=60,
@@ -62,8 +62,8 @@ def add_surroundings(root: Any, settings: SceneSettings) -> None:
             castshadow=shadow,
         )
     for name, (position, target) in _CAMERAS.items():
-        root.worldbody.add("camera", name=name, pos=position, xyaxes=_camera_axes(position, target), fovy=45)
-    _add_furniture(root, settings)
+        spec.worldbody.add_camera(name=name, pos=position, xyaxes=_camera_axes(position, target), fovy=45)
+    _add_furniture(spec, settings)
 
 
 def _camera_axes(position: Vector3, target: Vector3) -> list[float]:
@@ -76,44 +76,45 @@ def _camera_axes(position: Vector3, target: Vector3) -> list[float]:
     return [*x.tolist(), *np.cross(backward, x).tolist()]
 
 
-def _add_materials(root: Any) -> None:
-    asset = root.asset
-    asset.add(
-        "texture",
+def _add_materials(spec: Any) -> None:
+    import mujoco
+
+    spec.add_texture(
         name="sky",
-        type="skybox",
-        builtin="gradient",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
         rgb1=(0.75, 0.82, 0.9),
         rgb2=(0.35, 0.42, 0.5),
         width=256,
         height=256,
     )
-    asset.add(
-        "texture",
+    spec.add_texture(
         name="floor",
-        type="2d",
-        builtin="checker",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
         rgb1=(0.42, 0.44, 0.46),
         rgb2=(0.38, 0.40, 0.42),
         width=256,
         height=256,
     )
-    asset.add("material", name="floor", texture="floor", texrepeat=(1, 1), texuniform="true")
-    asset.add("material", name="table_top", rgba=(0.62, 0.55, 0.45, 1), specular=0.1, shininess=0.2)
-    asset.add("material", name="frame", rgba=(0.25, 0.27, 0.29, 1), specular=0.3, shininess=0.4)
-    root.find("geom", "floor").material = "floor"
-    root.find("geom", "table").material = "table_top"
+    floor = spec.add_material(name="floor", texrepeat=(1, 1), texuniform=True)
+    floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
+    spec.add_material(name="table_top", rgba=(0.62, 0.55, 0.45, 1), specular=0.1, shininess=0.2)
+    spec.add_material(name="frame", rgba=(0.25, 0.27, 0.29, 1), specular=0.3, shininess=0.4)
+    spec.geom("floor").material = "floor"
+    spec.geom("table").material = "table_top"
 
 
-def _add_furniture(root: Any, settings: SceneSettings) -> None:
+def _add_furniture(spec: Any, settings: SceneSettings) -> None:
+    import mujoco
+
     style = {"material": "frame", "contype": 0, "conaffinity": 0, "group": 2}
     (x, y), (length, width) = settings.table_center_m, settings.table_size_m
     height = -TABLE_THICKNESS_M - FLOOR_Z_M
     for sx in (-1, 1):
         for sy in (-1, 1):
-            root.worldbody.add(
-                "geom",
-                type="box",
+            spec.worldbody.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_BOX,
                 pos=(x + sx * (length / 2 - 0.06), y + sy * (width / 2 - 0.06), FLOOR_Z_M + height / 2),
                 size=(0.04, 0.04, height / 2),
                 **style,
@@ -125,11 +126,10 @@ def _add_furniture(root: Any, settings: SceneSettings) -> None:
         if pz - bottom < 0.05:
             continue  # the base stands on the table or on the floor itself
         for top, low, radius in ((pz, pz - 0.02, 0.13), (pz - 0.02, bottom, 0.09), (bottom + 0.02, bottom, 0.2)):
-            root.worldbody.add(
-                "geom",
-                type="cylinder",
+            spec.worldbody.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_CYLINDER,
                 pos=(px, py, (top + low) / 2),
-                size=(radius, (top - low) / 2),
+                size=(radius, (top - low) / 2, 0),
                 **style,
             )
 
@@ -148,26 +148,25 @@ _LENS: Final = (-0.0445, 0.0, 0.078)
 _LENS_AIM: Final = (0.0, 0.0, 0.20)
 
 
-def draw_grippers(root: Any) -> None:
-    """Add the visuals of both grippers of a cell's tree, and a camera `wrist` to each."""
-    for arm in ARMS:
-        palm = root.find("body", f"{arm}/gripper")
-        for name, (rgba, specular, shininess) in _GRIPPER_MATERIALS.items():
-            material = palm.root.asset.add("material", name=name, rgba=rgba, specular=specular, shininess=shininess)
-            if name == "light":
-                material.emission = 0.5
-        _draw_palm(palm)
-        _draw_camera(palm)
-        for i, sign in ((1, 1), (2, -1)):
-            _draw_finger(root.find("body", f"{arm}/finger_{i}"), sign)
+def draw_gripper(arm: Any) -> None:
+    """Add the visuals of the gripper of one arm's spec, and a camera `wrist` to it."""
+    palm = arm.body("gripper")
+    for name, (rgba, specular, shininess) in _GRIPPER_MATERIALS.items():
+        arm.add_material(
+            name=name, rgba=rgba, specular=specular, shininess=shininess, emission=0.5 if name == "light" else 0.0
+        )
+    style = arm.find_default("visual")
+    _draw_palm(_Pen(palm, style))
+    _draw_camera(palm, _Pen(palm, style))
+    for i, sign in ((1, 1), (2, -1)):
+        _draw_finger(_Pen(arm.body(f"finger_{i}"), style, sign))
 
 
 class _Pen:
     """Adds visual parts to one body, y mirrored where `sign` is -1."""
 
-    def __init__(self, body: Any, sign: int = 1) -> None:
-        self._body, self._sign = body, sign
-        self._class = body.root.find("default", "visual")
+    def __init__(self, body: Any, style: Any, sign: int = 1) -> None:
+        self._body, self._style, self._sign = body, style, sign
 
     def box(self, low: tuple[float, ...], high: tuple[float, ...], material: str) -> None:
         """Box between two corners."""
@@ -177,7 +176,7 @@ class _Pen:
     def rod(self, a: tuple[float, ...], b: tuple[float, ...], radius: float, material: str, kind: str) -> None:
         """Cylinder or capsule between two points."""
         ends = np.array([a, b]) * (1, self._sign, 1)
-        self._add(kind, fromto=ends.ravel(), size=(radius,), material=material)
+        self._add(kind, fromto=ends.ravel(), size=(radius, 0, 0), material=material)
 
     def disc(self, y: float, low: float, high: float, radius: float, material: str, x: float = 0.0) -> None:
         """Cylinder along z."""
@@ -190,11 +189,12 @@ class _Pen:
             self.disc(y, low, high, radius, material)
 
     def _add(self, kind: str, **attributes: Any) -> None:
-        self._body.add("geom", dclass=self._class, type=kind, **attributes)
+        import mujoco
+
+        self._body.add_geom(self._style, type=getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}"), **attributes)
 
 
-def _draw_palm(palm: Any) -> None:
-    pen = _Pen(palm)
+def _draw_palm(pen: _Pen) -> None:
     pen.disc(0, 0.0, 0.0125, 0.0375, "steel")  # coupling
     pen.disc(0, 0.0125, 0.014, 0.0350, "rubber")
     pen.disc(0, 0.014, 0.044, 0.0365, "shell")
@@ -214,8 +214,7 @@ def _draw_palm(palm: Any) -> None:
     pen.box((0.0280, -0.020, 0.060), (0.0294, 0.020, 0.074), "housing")  # name plate
 
 
-def _draw_camera(palm: Any) -> None:
-    pen = _Pen(palm)
+def _draw_camera(palm: Any, pen: _Pen) -> None:
     x, _, z = _LENS
     pen.box((x - 0.0075, -0.017, z - 0.020), (x + 0.0075, 0.017, z - 0.001), "shell")
     pen.box((x + 0.0075, -0.012, z - 0.016), (-0.028, 0.012, z - 0.005), "housing")
@@ -224,8 +223,7 @@ def _draw_camera(palm: Any) -> None:
     forward = np.subtract(_LENS_AIM, _LENS)
     forward /= np.linalg.norm(forward)
     # Up in the image is the flange's -x: away from the base where the arm is at home.
-    palm.add(
-        "camera",
+    palm.add_camera(
         name="wrist",
         pos=(x, 0, z + 0.002),
         xyaxes=(0, -1, 0, -forward[2], 0, forward[0]),
@@ -233,8 +231,7 @@ def _draw_camera(palm: Any) -> None:
     )
 
 
-def _draw_finger(finger: Any, sign: int) -> None:
-    pen = _Pen(finger, sign)
+def _draw_finger(pen: _Pen) -> None:
     pen.box((-0.0130, 0.003, PALM_LENGTH_M), (0.0130, 0.020, 0.0965), "housing")  # carriage
     pen.box((-0.0055, 0.009, 0.0965), (0.0055, 0.0165, 0.132), "shell")
     for side in (-1, 1):
@@ -268,21 +265,20 @@ _PROP_MATERIALS: Final = {
 _SKIN_M: Final = 0.0003  # thickness of painted marks
 
 
-def draw_prop(root: Any, prop: str) -> None:
-    """Add the visuals of the prop to a cell's tree."""
-    for name, (rgba, specular, shininess) in _PROP_MATERIALS.items():
-        root.asset.add("material", name=name, rgba=rgba, specular=specular, shininess=shininess)
+def draw_prop(spec: Any, prop: str) -> None:
+    """Add the visuals of the prop to a cell's spec."""
     if prop == "bar":
-        _draw_bar(root.find("body", "bar"))
+        _draw_bar(spec.body("bar"))
     else:
-        _draw_block(root.find("body", "block"))
-        _draw_target(root.find("body", "target"))
+        _draw_block(spec.body("block"))
+        _draw_target(spec.body("target"))
 
 
 def _add_box(body: Any, low: tuple[float, ...], high: tuple[float, ...], material: str) -> None:
-    body.add(
-        "geom",
-        type="box",
+    import mujoco
+
+    body.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_BOX,
         pos=np.add(low, high) / 2,
         size=np.subtract(high, low) / 2,
         material=material,
@@ -334,13 +330,13 @@ def _draw_target(target: Any) -> None:
 # Frames of the mesh files in the body frames of ur10.xml: position in m, quaternion w, x, y, z.
 _HALF = math.sqrt(0.5)
 _MESHES: Final = {
-    "base_link": ("base", "0 0 0", "1 0 0 0"),
-    "shoulder_link": ("shoulder", "0 0 0.1273", "0 0 0 1"),
-    "upper_arm_link": ("upperarm", "0 0 0.220941", "0.5 0.5 -0.5 -0.5"),
-    "forearm_link": ("forearm", "0 0 0.049041", "0.5 0.5 -0.5 -0.5"),
-    "wrist_1_link": ("wrist1", "0 0 0.049041", f"{_HALF} {_HALF} 0 0"),
-    "wrist_2_link": ("wrist2", "0 0 0", "1 0 0 0"),
-    "wrist_3_link": ("wrist3", "0 0 0", f"{_HALF} {_HALF} 0 0"),
+    "base_link": ("base", (0, 0, 0), (1, 0, 0, 0)),
+    "shoulder_link": ("shoulder", (0, 0, 0.1273), (0, 0, 0, 1)),
+    "upper_arm_link": ("upperarm", (0, 0, 0.220941), (0.5, 0.5, -0.5, -0.5)),
+    "forearm_link": ("forearm", (0, 0, 0.049041), (0.5, 0.5, -0.5, -0.5)),
+    "wrist_1_link": ("wrist1", (0, 0, 0.049041), (_HALF, _HALF, 0, 0)),
+    "wrist_2_link": ("wrist2", (0, 0, 0), (1, 0, 0, 0)),
+    "wrist_3_link": ("wrist3", (0, 0, 0), (_HALF, _HALF, 0, 0)),
 }
 
 
@@ -355,25 +351,24 @@ def _mesh_folder() -> Path:
     return folder
 
 
-def use_meshes(document: ET.Element) -> None:
-    """Replace the primitives of both arms by meshes."""
+def use_meshes(spec: Any) -> None:
+    """Replace the primitives of both arms of a cell's spec by meshes."""
+    import mujoco
+
     folder = _mesh_folder()
-    asset = child_of(document, "asset")
     for mesh, _, _ in _MESHES.values():
-        ET.SubElement(asset, "mesh", name=mesh, file=str(folder / f"{mesh}.stl"))
+        spec.add_mesh(name=mesh, file=str(folder / f"{mesh}.stl"))
     for arm in ARMS:
+        style = spec.find_default(f"{arm}/visual")
         for link, (mesh, position, quat) in _MESHES.items():
-            body = document.find(f".//body[@name='{arm}/{link}']")
-            if body is None:
-                raise DualUR10Error(f"ur10.xml has no body {link!r}")
-            for geom in body.findall(f"geom[@class='{arm}/visual']"):
-                body.remove(geom)
-            ET.SubElement(
-                body,
-                "geom",
-                {"class": f"{arm}/visual"},
-                type="mesh",
-                mesh=mesh,
+            body = spec.body(f"{arm}/{link}")
+            for geom in body.geoms:
+                if geom.classname.name == style.name:
+                    spec.delete(geom)
+            body.add_geom(
+                style,
+                type=mujoco.mjtGeom.mjGEOM_MESH,
+                meshname=mesh,
                 pos=position,
                 quat=quat,
                 material=f"{arm}/tube",

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from dual_ur10.assets import cell_tree
+from dual_ur10.assets import cell_spec
 from dual_ur10.assets.scene import build_model, sensor_slices
 from dual_ur10.assets.settings import GAINS, HOME_Q_RAD, MOST_UNSTABLE, SceneSettings, stability_number
 from dual_ur10.assets.visuals import CAMERAS
@@ -99,9 +99,9 @@ def test_order_of_joints_and_actuators(model):
 
 
 def test_a_foreign_order_is_refused(monkeypatch):
-    monkeypatch.setattr(cell_tree, "JOINTS", JOINTS[::-1])
+    monkeypatch.setattr(cell_spec, "JOINTS", JOINTS[::-1])
     with pytest.raises(DualUR10Error, match="expected"):
-        build_model(SceneSettings())
+        build_model(SceneSettings(timestep_s=0.0031))  # a model that nothing has compiled before
 
 
 def test_masses_and_limits(model):

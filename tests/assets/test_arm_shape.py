@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dual_ur10 import kinematics
-from dual_ur10.assets.arm import arm_tree
+from dual_ur10.assets.arm import arm_spec
 from dual_ur10.assets.arm_shape import fit_bodies, fit_shape
 from dual_ur10.assets.scene import build_model, sensor_slices
 from dual_ur10.assets.settings import (
@@ -98,28 +98,28 @@ def test_both_arms_begin_apart_with_their_flanges_over_the_table(robots: tuple[s
 
 
 def test_the_shape_of_the_ur10_follows_from_itself() -> None:
-    plain, fitted = (arm_tree("arm", NOMINAL_DH, "stiff") for _ in range(2))
+    plain, fitted = (arm_spec(NOMINAL_DH, "stiff") for _ in range(2))
     fit_bodies(fitted, ROBOTS["ur10"])
     fit_shape(fitted, ROBOTS["ur10"])
     for link in ("base_link", *LINKS):
-        one, other = plain.find("body", link), fitted.find("body", link)
-        for a, b in zip(one.geom, other.geom, strict=True):
-            where = "pos" if a.fromto is None else "fromto"
+        one, other = plain.body(link), fitted.body(link)
+        for a, b in zip(one.geoms, other.geoms, strict=True):
+            where = "pos" if np.isnan(a.fromto[0]) else "fromto"
             np.testing.assert_allclose(getattr(b, where), getattr(a, where), atol=1e-12)
             np.testing.assert_allclose(b.size, a.size, atol=1e-12)
         if link in LINKS:
-            np.testing.assert_allclose(other.inertial.pos, one.inertial.pos, atol=1e-12)
-            np.testing.assert_allclose(other.inertial.fullinertia, one.inertial.fullinertia, atol=1e-12)
+            np.testing.assert_allclose(other.ipos, one.ipos, atol=1e-12)
+            np.testing.assert_allclose(other.fullinertia, one.fullinertia, atol=1e-12)
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_the_housings_of_neighbouring_links_meet(robot: str) -> None:
-    tree = arm_tree("arm", nominal_dh(robot), "stiff")
+    spec = arm_spec(nominal_dh(robot), "stiff")
 
     def ends(link: str, axis: int) -> np.ndarray:
         """Ends of the drawn cylinders and of rubber rings between housings, along an axis of the body."""
-        drawn = [geom for geom in tree.find("body", link).geom if geom.fromto is not None]
-        rows = [np.reshape(geom.fromto, (2, 3)) for geom in drawn if geom.dclass.dclass == "visual"]
+        drawn = [geom for geom in spec.body(link).geoms if not np.isnan(geom.fromto[0])]
+        rows = [np.reshape(geom.fromto, (2, 3)) for geom in drawn if geom.classname.name == "visual"]
         return np.concatenate(rows)[:, axis]
 
     upper, fore = ends("upper_arm_link", 2), ends("forearm_link", 2)

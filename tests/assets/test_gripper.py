@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from dual_ur10.assets.cell_tree import actuator_names, joint_names
+from dual_ur10.assets.cell_spec import actuator_names, joint_names
 from dual_ur10.assets.gripper import FINGERTIP_M, FORCE_N, MASS_KG, OPENING_M, SPEED_M_S, TCP_M
 from dual_ur10.assets.scene import build_model, sensor_slices
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings

@@ -148,8 +148,8 @@ def test_every_moving_part_is_paired_with_every_obstacle() -> None:
 def test_scenes_without_obstacles_do_not_change() -> None:
     assert SceneSettings(obstacles=()) == SceneSettings()
     assert clearance_pairs(SceneSettings(obstacles=[])) is CLEARANCE_PAIRS
-    for text in (compose(SceneSettings()), compose_collision_model(SceneSettings())):
-        assert "obstacle" not in text
+    for spec in (compose(SceneSettings()), compose_collision_model(SceneSettings())):
+        assert "obstacle" not in spec.to_xml()
 
 
 def test_every_contact_with_an_obstacle_is_a_measured_pair() -> None:
@@ -280,8 +280,8 @@ def test_equal_obstacles_are_equal_scenes() -> None:
     assert one == two
     assert hash(one) == hash(two)
     first, second = (SceneSettings(obstacles=each) for each in ([one, POST], (two, POST)))
-    assert compose(first) is compose(second)
-    assert compose_collision_model(first) is compose_collision_model(second)
+    assert first == second
+    assert hash(first) == hash(second)
     assert pickle.loads(pickle.dumps(first)) == first
     assert type(Capsule(name="c", from_m=(0, 0, 0), to_m=(0, 0, 1), radius_m=1).radius_m) is float
 

@@ -1,37 +1,43 @@
-"""Settings of the scene, its MJCF text, its models and its visuals."""
+"""Settings of the scene, its specs, its models and its visuals."""
 
 import dataclasses
 import os
 import subprocess
 import sys
-import xml.etree.ElementTree as ET
 
 import mujoco
 import numpy as np
 import pytest
 
-from dual_ur10.assets.collision_model import compose_collision_model
+from dual_ur10.assets.collision_model import build_collision_model, compose_collision_model
 from dual_ur10.assets.obstacles import Box, Capsule, Plane
 from dual_ur10.assets.scene import build_model, compose, sensor_slices
-from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
+from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings, default_mount
 from dual_ur10.errors import MissingExtraError, SettingsError, UnknownNameError
 from dual_ur10.kinematics.frames import ArmMount
+from tests.model_hashes import HASHES, hash_of
 from tests.sim2real.control.reference_cell import UNEQUAL, contacts, random_q
 
 
-def test_texts_are_cached_and_models_are_not():
-    assert compose(SceneSettings()) is compose(SceneSettings())
-    assert compose_collision_model(SceneSettings()) is compose_collision_model(SceneSettings())
-    assert compose(SceneSettings()) != compose(SceneSettings(timestep_s=0.001))
-    model = build_model(SceneSettings())
-    model.body_mass[:] = 0
-    assert build_model(SceneSettings()).body_mass.sum() > 50
+def test_every_caller_gets_a_model_of_its_own():
+    for build in (build_model, build_collision_model):
+        model = build(SceneSettings())
+        model.body_mass[:] = 0
+        assert build(SceneSettings()).body_mass.sum() > 50
+
+
+def test_specs_can_be_written_and_compiled_again():
+    spec = compose(equipped())
+    again = mujoco.MjModel.from_xml_string(spec.to_xml())
+    assert again.nbody == build_model(equipped()).nbody
+    spec.body("left/gripper").add_geom(name="mine", size=(0.01, 0, 0))
+    assert spec.compile().ngeom == build_model(equipped()).ngeom + 1
 
 
 def test_positions_may_be_lists():
     settings = SceneSettings(left=ArmMount([-0.75, 0.6, 0]))
     assert settings == SceneSettings()
-    assert compose(settings) is compose(SceneSettings())
+    assert hash(settings) == hash(SceneSettings())
 
 
 def test_import_is_light_and_quiet():
@@ -101,8 +107,8 @@ def test_meshes_are_visual_only():
     assert (model.geom_contype > 0).sum() == (plain.geom_contype > 0).sum()
 
 
-def test_text_names_no_file():
-    assert not list(ET.fromstring(compose(SceneSettings())).iterfind(".//*[@file]"))
+def test_specs_name_no_file():
+    assert "file=" not in compose(SceneSettings()).to_xml()
 
 
 def equipped(**keywords):
@@ -111,13 +117,13 @@ def equipped(**keywords):
 
 def test_equal_equipment_hashes_alike():
     assert equipped(prop="bar", grip_force_n=60) == equipped(prop="bar", grip_force_n=np.float64(60.0))
-    assert compose(equipped(grip_force_n=60)) is compose(equipped(grip_force_n=np.float32(60.0)))
+    assert hash(equipped(grip_force_n=60)) == hash(equipped(grip_force_n=np.float32(60.0)))
     assert hash(Equipment(grip_force_n=np.array(60))) == hash(Equipment())
     assert SceneSettings() == SceneSettings(equipment=Equipment())
 
 
 def test_a_bare_scene_has_no_parts_of_equipment():
-    for text in (compose(SceneSettings()), compose_collision_model(SceneSettings())):
+    for text in (compose(SceneSettings()).to_xml(), compose_collision_model(SceneSettings()).to_xml()):
         for word in ("gripper", "finger", "wrench", "tendon", "equality", "impratio", "freejoint", "mocap"):
             assert word not in text
 
@@ -198,3 +204,15 @@ def test_a_model_without_visuals_has_the_same_dynamics(with_and_without_visuals)
         for visual, bare in zip(*contacts_, strict=True):
             np.testing.assert_allclose(bare[2:], visual[2:], rtol=1e-9, atol=1e-9)
     assert touched > 100
+
+
+ALL_CELLS = CELLS | {
+    "UR3e and UR20": SceneSettings(default_mount(0, "ur3e"), default_mount(1, "ur20"), timestep_s=0.001),
+}
+
+
+@pytest.mark.parametrize("name", ALL_CELLS)
+def test_models_are_what_they_were(name):
+    settings = ALL_CELLS[name]
+    models = build_model(settings), build_model(settings, visuals=False), build_collision_model(settings)
+    assert tuple(map(hash_of, models)) == HASHES[name]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from dual_ur10.assets.cell_tree import joint_names
+from dual_ur10.assets.cell_spec import joint_names
 from dual_ur10.assets.collision_model import CLEARANCE_CUTOFF_M, CLEARANCE_PAIRS, build_collision_model, clearance_pairs
 from dual_ur10.assets.gripper import FINGERTIP_M, OPENING_M
 from dual_ur10.assets.scene import build_model

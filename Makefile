@@ -21,18 +21,24 @@ unexport PYTHONDONTWRITEBYTECODE
 # `make fuzz`: executions per target, or seconds (TIME_S=60); some targets only (TARGET=rtde_server); another seed.
 RUNS ?= $(if $(TIME_S),0,20000)
 
-.PHONY: help demo dist docs test test-live test-oldest test-dist test-torchrl clients soak simulate mutants fuzz bench install lint format clean check-python
+.PHONY: help demo dist docs test test-live test-oldest test-dist test-torchrl clients soak simulate mutants fuzz bench install lint format clean check-python check-python-of-tests
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*  ## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
 
 check-python:
 	@test -n "$(PYTHON)" || { echo "No python3 was found. On Debian or Ubuntu: apt-get install python3 python3-venv"; exit 1; }
-	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 13))' || { \
-	  echo "$(PYTHON) is $$($(PYTHON) --version 2>&1): Python 3.11 or 3.12 is needed (dm-control has no wheels for later ones)."; \
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 15))' || { \
+	  echo "$(PYTHON) is $$($(PYTHON) --version 2>&1): Python 3.11 or 3.12 is needed, or 3.13 or 3.14 without arms."; \
 	  echo "On Debian 12: apt-get install python3.11 python3.11-venv. Or name one: make $(MAKECMDGOALS) PYTHON=/path/to/python3.11"; exit 1; }
 	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || { \
 	  echo "$(PYTHON) cannot make virtual environments. On Debian or Ubuntu: apt-get install python3-venv"; exit 1; }
+
+# Tests need ur_rtde and dm-control, which have no wheels for Python 3.13 and later.
+check-python-of-tests: $(VENV)/bin/python
+	@$(VENV)/bin/python -c 'import sys; sys.exit(sys.version_info[:2] >= (3, 13))' || { \
+	  echo "$(VENV) has $$($(VENV)/bin/python --version 2>&1): the tests need Python 3.11 or 3.12, for ur_rtde and dm-control."; \
+	  echo "make clean, then name one: make $(MAKECMDGOALS) PYTHON=/path/to/python3.11"; exit 1; }
 
 $(VENV)/bin/python: | check-python
 	@$(PYTHON) -m venv $(VENV)
@@ -47,7 +53,7 @@ $(VENV)/.demo: pyproject.toml constraints.txt $(VENV)/bin/python
 	@touch $@
 
 # What the tests need, too.
-$(VENV)/.dev: pyproject.toml constraints.txt $(VENV)/bin/python
+$(VENV)/.dev: pyproject.toml constraints.txt $(VENV)/bin/python | check-python-of-tests
 	@echo "Installing dual-ur10 with all that its tests need into $(VENV) ..."
 	@$(VENV)/bin/python -m pip install $(PIP_FLAGS) -c constraints.txt -e '.[dev]'
 	@$(FETCH_EXAMPLES) $(VENV)/sdist || echo "The examples of ur_rtde could not be fetched: their test is skipped."

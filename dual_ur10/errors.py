@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import difflib
 import re
+import sys
 from collections.abc import Sequence
 
 _MOST_DECIMALS = 17
+_NEWEST_OF_UR_RTDE = 3, 12  # Python for which ur_rtde 1.6.5 has wheels
 
 
 def distinguishable(found: float, allowed: float, decimals: int = 3) -> tuple[str, str]:
@@ -128,10 +130,19 @@ class ResetRefusedError(SettingsError):
 
 
 class MissingExtraError(DualUR10Error, ImportError):
-    """Raised when an optional dependency is not installed; the message names the extra to install."""
+    """Raised when an optional dependency is not installed; the message names the extra to install.
+
+    Where the package has no wheels for this Python, it names those for which it has.
+    """
 
     def __init__(self, package: str, extra: str, purpose: str) -> None:
-        super().__init__(f'{purpose} needs {package}: pip install "dual-ur10[{extra}]"')
+        python = sys.version_info[:2]
+        where = (
+            f", which has wheels for Python 3.11 and 3.12 only, found {python[0]}.{python[1]}. There"
+            if package == "ur_rtde" and python > _NEWEST_OF_UR_RTDE
+            else ""
+        )
+        super().__init__(f'{purpose} needs {package}{where}: pip install "dual-ur10[{extra}]"')
 
 
 class RenderError(DualUR10Error, RuntimeError):

@@ -9,6 +9,8 @@ import zipfile
 
 import pytest
 
+from dual_ur10.errors import MissingExtraError
+
 ROOT = pathlib.Path(__file__).parents[1]
 
 
@@ -217,3 +219,13 @@ def test_time_and_connections_come_from_the_system(room):
     forbidden = {"time", "select", "selectors", "socket"}
     found = {(path.name, name) for path in paths for name in forbidden.intersection(_imports(path))}
     assert not found
+
+
+@pytest.mark.parametrize(("version", "words"), [((3, 12), "needs ur_rtde: pip install"), ((3, 13), "for Python 3.11")])
+def test_a_package_without_wheels_for_this_python_says_so(monkeypatch, version, words):
+    monkeypatch.setattr(sys, "version_info", (*version, 0))
+    text = str(MissingExtraError("ur_rtde", "real", "moving UR arms"))
+    assert words in text
+    assert ("found 3.13" in text) == (version > (3, 12))
+    assert 'pip install "dual-ur10[real]"' in text
+    assert "found" not in str(MissingExtraError("matplotlib", "plot", "drawing"))

@@ -110,7 +110,7 @@ test-live: $(VENV)/.dev $(KERNEL)  ## the tests in real time: processes, sockets
 
 # What neither steps MuJoCo nor knows Gymnasium is the same with every version of them.
 test-oldest: $(OLDEST)/.dev $(KERNEL)  ## the tests again with MuJoCo 3.17 and Gymnasium 1.2.2, without those of controllers
-	@$(OLDEST)/bin/python -m pytest -n 2 --dist worksteal -m "not emulated" --ignore tests/sim2real/emulator --ignore tests/sim2real/control/test_adapter.py
+	@$(OLDEST)/bin/python -m pytest -n 2 --dist worksteal -m "not emulated" --ignore tests/ur_emulator --ignore tests/sim2real/control/test_adapter.py
 
 dist: $(VENV)/.dev  ## build wheel and sdist into out/dist, and check the sdist by building from it
 	@rm -rf out/dist

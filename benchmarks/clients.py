@@ -18,7 +18,7 @@ import sys
 import tempfile
 import time
 
-from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
+from ur_emulator.emulated_cell import EmulatedCell
 
 WORKER = pathlib.Path(__file__).parent / "workers" / "client_worker.py"
 LIBRARIES = {

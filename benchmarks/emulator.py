@@ -17,7 +17,7 @@ import numpy as np
 import psutil
 
 from dual_ur10.kinematics.ur10 import TICK_S
-from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
+from ur_emulator.emulated_cell import EmulatedCell
 
 ROOT = pathlib.Path(__file__).parents[1]
 

@@ -25,14 +25,14 @@ ROOT = pathlib.Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))  # the driver is that of the tests
 
 from dual_ur10.kinematics.ur10 import ARMS, TICK_S
-from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
-from dual_ur10.sim2real.emulator.profile import profile_of
 from dual_ur10.sim2real.links.rtde_link import RtdeLink
 from dual_ur10.sim2real.processes.system import LOCAL
 from dual_ur10.sim2real.protocol.modes import RuntimeState
 from tests.external_control import SCALE, Driver, Mode, Result
+from ur_emulator.emulated_cell import EmulatedCell
+from ur_emulator.profile import profile_of
 
-OWN = ROOT / "tests" / "sim2real" / "emulator" / "external_control.urscript"
+OWN = ROOT / "tests" / "ur_emulator" / "external_control.urscript"
 POINTS, SEGMENT_S, STEP_RAD = 10, 0.5, -0.02  # away from the table
 STATE = (
     "timestamp",

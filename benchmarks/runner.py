@@ -34,12 +34,12 @@ from dual_ur10.kinematics.ur10 import TICK_S
 from dual_ur10.policies import evaluate, rollout
 from dual_ur10.sim2real.analysis.timing import timing
 from dual_ur10.sim2real.config.cell_file import load_cell_file
-from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
 from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.runtime.arm_memory import Phase
 from dual_ur10.sim2real.runtime.latch import Latch
 from dual_ur10.sim2real.runtime.runner import Runner
 from dual_ur10.sim2real.runtime.stop_ramp import STOP_RAD_S2
+from ur_emulator.emulated_cell import EmulatedCell
 
 ARMS = ("left", "right")
 LATENCY_TICKS = 10

@@ -23,8 +23,8 @@ from runner import ready, training
 
 from dual_ur10.kinematics.ur10 import TICK_S
 from dual_ur10.sim2real.config.cell_file import load_cell_file
-from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
 from dual_ur10.sim2real.runtime.latch import Latch
+from ur_emulator.emulated_cell import EmulatedCell
 
 COMMAND = (sys.executable, "-m", "dual_ur10", "rollout", "SineTracking", "-n", "1", "--no-record")
 SECONDS = 1.0  # of the task

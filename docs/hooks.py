@@ -82,10 +82,10 @@ def urscript() -> str:
     import numpy as np
 
     from dual_ur10.kinematics.ur10 import NOMINAL_DH
-    from dual_ur10.sim2real.emulator.builtins import builtins_of
-    from dual_ur10.sim2real.emulator.controller import Controller
-    from dual_ur10.sim2real.emulator.profile import POLYSCOPES
-    from dual_ur10.sim2real.emulator.script.manual import MANUAL
+    from ur_emulator.builtins import builtins_of
+    from ur_emulator.controller import Controller
+    from ur_emulator.profile import POLYSCOPES
+    from ur_emulator.script.manual import MANUAL
 
     functions = {
         version: Controller("left", profile, np.zeros(6), 1, dh=NOMINAL_DH, builtins=builtins_of).program.builtins

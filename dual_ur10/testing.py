@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from dual_ur10.errors import DualUR10Error, SettingsError
 from dual_ur10.policies.evaluation.check import PolicyReport, check_policy
-from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
+from ur_emulator.emulated_cell import EmulatedCell
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     import pytest
 
     from dual_ur10.sim2real.runtime.latch import Latch
-    from dual_ur10.sim2real.virtual.virtual_cell import VirtualCell
+    from ur_emulator.virtual.virtual_cell import VirtualCell
 
 __all__ = ["CellForTests", "PolicyReport", "VirtualCell", "check_policy"]
 
@@ -42,7 +42,7 @@ MARKERS = ("emulated_cell", "virtual_cell")
 
 def __getattr__(name: str) -> Any:
     if name == "VirtualCell":  # it needs the extra `virtual`
-        from dual_ur10.sim2real.virtual.virtual_cell import VirtualCell
+        from ur_emulator.virtual.virtual_cell import VirtualCell
 
         return VirtualCell
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
@@ -60,7 +60,7 @@ class CellForTests(EmulatedCell):
 
     Args:
         folder: Folder for its cell file and its log.
-        **options: See `dual_ur10.sim2real.emulator.emulator.EmulatorOptions`; without `cell`.
+        **options: See `ur_emulator.emulator.EmulatorOptions`; without `cell`.
 
     Attributes:
         path: Path of the cell file: `gym.make(..., cell=cell.path)`.
@@ -164,7 +164,7 @@ if importlib.util.find_spec("pytest") is not None:
     @pytest.fixture
     def virtual_cell(request: pytest.FixtureRequest) -> Iterator[VirtualCell]:
         """Run a virtual cell for one test. Its options come from `@pytest.mark.virtual_cell(...)` or a parameter."""
-        from dual_ur10.sim2real.virtual.virtual_cell import VirtualCell
+        from ur_emulator.virtual.virtual_cell import VirtualCell
 
         with VirtualCell(**options_of(request, "virtual_cell")) as cell:
             yield cell

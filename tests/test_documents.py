@@ -260,8 +260,9 @@ def test_commands_parse(path, workplace, monkeypatch):
 
 
 def _code():
-    """Return the package's code, with its texts in one piece each."""
-    code = "\n".join(path.read_text() for path in (ROOT / "dual_ur10").rglob("*.py"))
+    """Return the code of both packages, with its texts in one piece each."""
+    paths = [path for package in ("dual_ur10", "ur_emulator") for path in (ROOT / package).rglob("*.py")]
+    code = "\n".join(path.read_text() for path in paths)
     return re.sub(r'"\s*f?"', "", code)
 
 
@@ -332,7 +333,7 @@ def _names_of_earlier_systems():
 def test_what_replaces_earlier_systems_exists(name, of):
     """A command, an option of one, a target of `make`, or an object of the package."""
     targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
-    if name.startswith("dual_ur10."):
+    if name.startswith(("dual_ur10.", "ur_emulator.")):
         pkgutil.resolve_name(name)
     elif name.startswith("make "):
         assert name.removeprefix("make ") in targets

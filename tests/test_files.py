@@ -12,9 +12,9 @@ from dual_ur10.policies.training.folder import _training_of
 from dual_ur10.policies.training.state import load_tensors
 from dual_ur10.sim2real.calibration import data_file, ur_calibration
 from dual_ur10.sim2real.config.cell_file import load_cell_file
-from dual_ur10.sim2real.emulator.emulator import write_cell_file
-from dual_ur10.sim2real.emulator.program_files import script_texts
 from dual_ur10.sim2real.trajectory.files import read_trajectory
+from ur_emulator.emulator import write_cell_file
+from ur_emulator.program_files import script_texts
 
 
 @contextlib.contextmanager

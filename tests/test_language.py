@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-PACKAGE = Path(__file__).parents[1] / "dual_ur10"
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("dual_ur10", "ur_emulator")
 CLAUSES = {"What", "Whether", "Who", "How", "Where", "Why", "When"}
 """First words of summaries that are clauses, not noun phrases or imperatives."""
 
@@ -49,7 +50,13 @@ def identifiers(tree):
 
 @pytest.fixture(scope="module")
 def trees():
-    return {path.relative_to(PACKAGE).as_posix(): ast.parse(path.read_text()) for path in PACKAGE.rglob("*.py")}
+    """Syntax trees by path: relative to `dual_ur10`, or with the name of another package in front."""
+    found = {}
+    for package in PACKAGES:
+        for path in (ROOT / package).rglob("*.py"):
+            name = path.relative_to(ROOT).as_posix().removeprefix("dual_ur10/")
+            found[name] = ast.parse(path.read_text())
+    return found
 
 
 def test_no_summary_is_a_clause(trees):

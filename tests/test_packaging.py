@@ -28,7 +28,7 @@ def wheel(tmp_path_factory):
 
 def test_the_wheel_holds_the_package_and_nothing_else(wheel):
     names = zipfile.ZipFile(wheel).namelist()
-    assert {name.split("/")[0] for name in names if ".dist-info" not in name} == {"dual_ur10"}
+    assert {name.split("/")[0] for name in names if ".dist-info" not in name} == {"dual_ur10", "ur_emulator"}
     packages = {name.split("/")[1] for name in names if name.startswith("dual_ur10/") and name.count("/") == 2}
     assert {each for each in packages if f"dual_ur10/{each}/__init__.py" in names} == {
         "assets",
@@ -151,12 +151,23 @@ FLOORS = (
     ("sim2real.recording",),
     ("envs",),
     ("policies",),
-    ("sim2real.analysis", "sim2real.emulator"),
-    ("sim2real.virtual",),
+    ("sim2real.analysis", "ur_emulator"),
+    ("ur_emulator.virtual",),
     ("tasks", "testing"),
     ("cli", "__main__"),
 )
-"""Each room imports its own floor and those above it in this list, never one below."""
+"""Each room imports its own floor and those above it in this list, never one below. Rooms without another name in
+front are those of `dual_ur10`."""
+
+PACKAGES = ("dual_ur10", "ur_emulator")
+
+
+def _modules():
+    """Yield the modules of both packages: name, without `dual_ur10.`, and path."""
+    for package in PACKAGES:
+        for path in sorted((ROOT / package).rglob("*.py")):
+            name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+            yield name.removesuffix(".__init__").removeprefix("dual_ur10."), path
 
 
 def _imports(path):
@@ -169,28 +180,26 @@ def _imports(path):
 
 
 def _floor(module):
-    found = [height for height, rooms in enumerate(FLOORS) for room in rooms if f"{module}.".startswith(f"{room}.")]
-    return found[0] if found else None
+    found = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms if f"{module}.".startswith(f"{room}.")}
+    return found[max(found, key=len)] if found else None  # the innermost room
 
 
 def test_imports_run_downwards():
-    climbing = set()
-    for path in (ROOT / "dual_ur10").rglob("*.py"):
-        here = ".".join(path.relative_to(ROOT / "dual_ur10").with_suffix("").parts).removesuffix(".__init__")
-        if here in ("__init__", "sim2real"):
+    climbing, modules = set(), dict(_modules())
+    for here, path in modules.items():
+        if here in ("dual_ur10", "sim2real"):
             continue  # the faces of the package and of a room that holds rooms
         assert _floor(here) is not None, f"{here} stands on no floor"
         for name in _imports(path):
             there = name.removeprefix("dual_ur10.")
-            known = there != name and (ROOT / "dual_ur10" / f"{there.replace('.', '/')}.py").exists()
-            if known and _floor(there) > _floor(here):
+            if there in modules and _floor(there) is not None and _floor(there) > _floor(here):
                 climbing.add((here, there))
     assert climbing == set()
 
 
 def test_no_function_takes_an_arm_for_a_ur10():
     found = []
-    for path in sorted((ROOT / "dual_ur10").rglob("*.py")):
+    for _, path in _modules():
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.FunctionDef):
                 defaults = [each for each in (*node.args.defaults, *node.args.kw_defaults) if each is not None]
@@ -199,22 +208,24 @@ def test_no_function_takes_an_arm_for_a_ur10():
     assert found == ["default_mount"]  # of the default cell, whose arms are UR10s
 
 
+MAY_EMULATE = {"cli.emulate", "cli.demo_report.emulated", "testing"}
+"""Modules of `dual_ur10` that start emulated controllers."""
+
+
+def test_only_what_starts_emulated_controllers_imports_them():
+    """Above all: what moves real arms imports nothing of the emulator."""
+    found = {name for name, path in _modules() if not name.startswith("ur_emulator")
+             if any(each.split(".")[0] == "ur_emulator" for each in _imports(path))}  # fmt: skip
+    assert found == MAY_EMULATE
+
+
 @pytest.mark.parametrize(
     "room",
-    ["control", "config", "protocol", "links", "processes", "peripherals", "commissioning", "runtime", "recording"],
+    [*(f"dual_ur10/sim2real/{each}" for each in ("links", "runtime", "peripherals", "recording")), "ur_emulator"],
 )
-def test_rooms_that_move_real_arms_import_nothing_of_the_emulator(room):
-    paths = list((ROOT / "dual_ur10" / "sim2real" / room).rglob("*.py"))
-    assert paths
-    emulated = ("sim2real.emulator", "sim2real.virtual")
-    found = {(path.name, name) for path in paths for name in _imports(path) if any(each in name for each in emulated)}
-    assert not found
-
-
-@pytest.mark.parametrize("room", ["links", "runtime", "peripherals", "recording", "emulator"])
 def test_time_and_connections_come_from_the_system(room):
     """So that all of it runs on a virtual clock, too."""
-    paths = list((ROOT / "dual_ur10" / "sim2real" / room).rglob("*.py"))
+    paths = list((ROOT / room).rglob("*.py"))
     assert paths
     forbidden = {"time", "select", "selectors", "socket"}
     found = {(path.name, name) for path in paths for name in forbidden.intersection(_imports(path))}

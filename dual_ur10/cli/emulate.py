@@ -58,7 +58,7 @@ def emulate(
     view: Annotated[bool, typer.Option("--view", help="Show the cell in a browser on this machine.")] = False,
 ) -> None:
     """Run two emulated UR controllers on this machine, with simulated arms behind them, until Ctrl-C."""
-    from dual_ur10.sim2real.emulator.emulator import Emulator, EmulatorOptions
+    from ur_emulator.emulator import Emulator, EmulatorOptions
 
     logging.basicConfig(level=logging.WARNING, format="%(asctime)s %(name)s: %(message)s")
     options = EmulatorOptions(

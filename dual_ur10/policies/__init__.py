@@ -6,7 +6,7 @@
     print(evaluate("DualUR10/Handover-v0", policy, episodes=10).success_rate)
 
 Any object with the two methods of `Policy` can be evaluated. Importing this package loads neither MuJoCo nor torch.
-Imports `envs`; imported by `sim2real.{analysis, emulator}`, `testing` and `cli`.
+Imports `envs`; imported by `sim2real.analysis`, `testing` and `cli`.
 """
 
 from __future__ import annotations

@@ -15,11 +15,11 @@ from dual_ur10.sim2real.calibration.recording import emulated_base, read_joints
 from dual_ur10.sim2real.calibration.transforms import right_in_left
 from dual_ur10.sim2real.config.cell_file import CellFile, load_cell_file
 from dual_ur10.sim2real.config.cell_file_reference import starting_text
-from dual_ur10.sim2real.emulator.emulator import write_cell_file
 from dual_ur10.sim2real.runtime.rtde_cell import _check_bases
 from dual_ur10.testing import VirtualCell
 from tests.cli import command
 from tests.sim2real.calibration.cells import NEAR, NOMINAL, PLANNED, shifted, touches
+from ur_emulator.emulator import write_cell_file
 
 run = functools.partial(command.run, "cell", "calibrate")
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from dual_ur10.sim2real.emulator.profile import Assumptions
+from ur_emulator.profile import Assumptions
 
 UNSEEN = {
     "emergency_stop_pauses": "somebody has to press the button",
@@ -15,7 +15,7 @@ UNSEEN = {
     "deviation_ticks": "something has to hold the arm back",
     "restart_safety_s": "a violation or a fault has to come first",
 }
-"""Assumptions that no client can test, with the reason. `tests/sim2real/emulator` tests them on emulated ones."""
+"""Assumptions that no client can test, with the reason. `tests/ur_emulator` tests them on emulated ones."""
 
 TRACE = "timestamp,runtime_state,output_int_register_10,output_double_register_10,output_bit_registers32_to_63"
 

@@ -5,9 +5,9 @@ from unittest.mock import MagicMock
 
 import pytest
 
-from dual_ur10.sim2real.emulator import dashboard as command_server
-from dual_ur10.sim2real.emulator.profile import PROFILES
 from tests.conformance.wire import Dashboard, Rtde
+from ur_emulator import dashboard as command_server
+from ur_emulator.profile import PROFILES
 
 EVER = (5, 0), (3, 0)
 

@@ -28,7 +28,7 @@ CORPUS = FOLDER / "corpus"
 
 ARITHMETIC = [
     *("dual_ur10.assets", "dual_ur10.envs", "dual_ur10.kinematics", "dual_ur10.sim2real.control"),
-    *(f"dual_ur10.sim2real.emulator.{each}" for each in ("controller", "motion", "safety", "rtde_variables")),
+    *(f"ur_emulator.{each}" for each in ("controller", "motion", "safety", "rtde_variables")),
 ]
 HANG_S = 10
 MEMORY_MB = 1024
@@ -43,7 +43,7 @@ def fuzz(name: str, arguments: list[str]) -> None:
     import atheris
 
     # Only readers guide the search: instrumented arithmetic would cost more than it tells.
-    with atheris.instrument_imports(include=["dual_ur10"], exclude=ARITHMETIC):
+    with atheris.instrument_imports(include=["dual_ur10", "ur_emulator"], exclude=ARITHMETIC):
         from tests.fuzz.targets import TARGETS
     logging.disable()
     atheris.Setup([str(command_of(name)), *arguments], TARGETS[name])

@@ -39,22 +39,6 @@ from dual_ur10.policies.learned.manifest import FORMAT, _checksum, parse
 from dual_ur10.sim2real.calibration import data_file
 from dual_ur10.sim2real.config.cell_file import examine_text
 from dual_ur10.sim2real.config.cell_file_tables import EmulatedTrackerEntry
-from dual_ur10.sim2real.emulator.arm_server import ArmServer, DashboardPeer, LinePeer
-from dual_ur10.sim2real.emulator.builtins import builtins_of
-from dual_ur10.sim2real.emulator.controller import ArmReading, Controller
-from dual_ur10.sim2real.emulator.dashboard import Dashboard
-from dual_ur10.sim2real.emulator.fault_injection import FaultInjection
-from dual_ur10.sim2real.emulator.link_faults import LinkFaults
-from dual_ur10.sim2real.emulator.pendant import Pendant
-from dual_ur10.sim2real.emulator.profile import PROFILES
-from dual_ur10.sim2real.emulator.realtime_packet import RealtimePacket
-from dual_ur10.sim2real.emulator.registers import Registers
-from dual_ur10.sim2real.emulator.robotiq import RobotiqGripper
-from dual_ur10.sim2real.emulator.rtde_session import RtdePort
-from dual_ur10.sim2real.emulator.rtde_variables import zero_values
-from dual_ur10.sim2real.emulator.script import Machine, Splitter, library
-from dual_ur10.sim2real.emulator.script.compiled import _read
-from dual_ur10.sim2real.emulator.script.machine import _FAULTS
 from dual_ur10.sim2real.links.dashboard_link import DashboardLink
 from dual_ur10.sim2real.links.json_link import JsonLink
 from dual_ur10.sim2real.links.primary_link import _Reader
@@ -76,6 +60,22 @@ from dual_ur10.sim2real.recording.schemas import BEGIN, EVENT, SENT_COLUMNS, SIN
 from dual_ur10.sim2real.trajectory.files import Format, _csv_of, parse_trajectory
 from tests.policies.learned.checkpoints import parts
 from tests.sim2real.recording.runs import header
+from ur_emulator.arm_server import ArmServer, DashboardPeer, LinePeer
+from ur_emulator.builtins import builtins_of
+from ur_emulator.controller import ArmReading, Controller
+from ur_emulator.dashboard import Dashboard
+from ur_emulator.fault_injection import FaultInjection
+from ur_emulator.link_faults import LinkFaults
+from ur_emulator.pendant import Pendant
+from ur_emulator.profile import PROFILES
+from ur_emulator.realtime_packet import RealtimePacket
+from ur_emulator.registers import Registers
+from ur_emulator.robotiq import RobotiqGripper
+from ur_emulator.rtde_session import RtdePort
+from ur_emulator.rtde_variables import zero_values
+from ur_emulator.script import Machine, Splitter, library
+from ur_emulator.script.compiled import _read
+from ur_emulator.script.machine import _FAULTS
 
 HERE: Final = "127.0.0.1"
 HOME: Final = np.array([0.0, -1.57, 1.57, -1.57, -1.57, 0.0])

@@ -6,7 +6,7 @@ from typer.testing import CliRunner
 
 from dual_ur10.cli import main as cli
 from dual_ur10.sim2real.commissioning import doctor
-from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
+from ur_emulator.emulated_cell import EmulatedCell
 
 
 def test_a_cell_file_states_what_is_expected(tmp_path, monkeypatch):

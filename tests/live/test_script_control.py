@@ -6,9 +6,9 @@ import sys
 
 import pytest
 
-from dual_ur10.sim2real.emulator.emulator import Emulator, EmulatorOptions
-from dual_ur10.sim2real.virtual.control import ScriptControl
 from dual_ur10.testing import VirtualCell
+from ur_emulator.emulator import Emulator, EmulatorOptions
+from ur_emulator.virtual.control import ScriptControl
 
 pytestmark = pytest.mark.emulated
 

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from dual_ur10.sim2real.emulator.serial_firmware import SerialFirmware
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
-from dual_ur10.sim2real.virtual.virtual_system import VirtualProcess, VirtualSystem, World
+from ur_emulator.serial_firmware import SerialFirmware
+from ur_emulator.virtual.virtual_system import VirtualProcess, VirtualSystem, World
 
 STEP_S = 0.002
 

@@ -1,9 +1,9 @@
 """Statuses of arms for tests."""
 
-from dual_ur10.sim2real.emulator.profile import PROFILES
-from dual_ur10.sim2real.emulator.rtde_variables import zero_values
 from dual_ur10.sim2real.links.arm_status import OPTIONAL_VARIABLES, STATUS_VARIABLES, ArmStatus
 from dual_ur10.sim2real.links.rtde_stream import Sample
+from ur_emulator.profile import PROFILES
+from ur_emulator.rtde_variables import zero_values
 
 MOVING = {"robot_mode": 7, "safety_mode": 1, "robot_status_bits": 3, "safety_status_bits": 1, "runtime_state": 2}
 

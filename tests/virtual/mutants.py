@@ -115,9 +115,9 @@ MUTANTS = (
 
 
 def copy(root: Path, target: Path) -> None:
-    """Copy the package and its tests."""
+    """Copy the packages and their tests."""
     ignored = shutil.ignore_patterns("__pycache__")
-    for name in ("dual_ur10", "tests"):
+    for name in ("dual_ur10", "ur_emulator", "tests"):
         shutil.copytree(root / name, target / name, ignore=ignored)
     for name in ("pyproject.toml", "hatch_build.py"):
         shutil.copy(root / name, target)

@@ -19,7 +19,7 @@ from dual_ur10.sim2real.recording.writer import RunWriter
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
 from dual_ur10.sim2real.runtime.runner import Runner
-from dual_ur10.sim2real.virtual.scheduler import VirtualClock
+from ur_emulator.virtual.scheduler import VirtualClock
 
 
 @dataclass

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dual_ur10.sim2real.virtual.network import MemoryTransport, Network
-from dual_ur10.sim2real.virtual.scheduler import BEGIN_S, Group, Scheduler, VirtualClock
 from tests.soak import scaled
+from ur_emulator.virtual.network import MemoryTransport, Network
+from ur_emulator.virtual.scheduler import BEGIN_S, Group, Scheduler, VirtualClock
 
 HOST, PORT = "127.0.0.2", 30004
 

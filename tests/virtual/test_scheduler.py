@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dual_ur10.errors import VirtualCellError
-from dual_ur10.sim2real.virtual import scheduler as module
-from dual_ur10.sim2real.virtual.scheduler import BEGIN_S, Group, Scheduler, VirtualClock, VirtualEvent, VirtualLock
 from tests.soak import scaled
+from ur_emulator.virtual import scheduler as module
+from ur_emulator.virtual.scheduler import BEGIN_S, Group, Scheduler, VirtualClock, VirtualEvent, VirtualLock
 
 TIMES = st.integers(0, 8).map(lambda number: number / 8)  # exact, and often equal
 

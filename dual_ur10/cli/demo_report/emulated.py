@@ -32,9 +32,9 @@ from dual_ur10.sim2real.analysis.page import Column
 from dual_ur10.sim2real.analysis.plot_style import ARM_COLORS, INK, figure
 from dual_ur10.sim2real.analysis.replay import RecordedPolicy, source_of
 from dual_ur10.sim2real.config.cell_file import load_cell_file
-from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
 from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.runtime.latch import Latch
+from ur_emulator.emulated_cell import EmulatedCell
 
 log = logging.getLogger(__name__)
 

@@ -29,7 +29,6 @@ from dual_ur10.sim2real.commissioning.findings import (
     tool_findings,
 )
 from dual_ur10.sim2real.config.cell_file import CellFile
-from dual_ur10.sim2real.emulator.profile import PROFILES
 from dual_ur10.sim2real.links.network_route import Route
 from dual_ur10.sim2real.links.primary_link import PrimaryFacts
 from dual_ur10.sim2real.links.rtde_link import RtdeClient
@@ -38,6 +37,7 @@ from dual_ur10.sim2real.processes.system import LOCAL
 from dual_ur10.sim2real.protocol.primary_packet import kinematics_checksums
 from dual_ur10.sim2real.protocol.rtde import Kind
 from tests.sim2real.statuses import status_of
+from ur_emulator.profile import PROFILES
 
 TIMED = {"RTDE rate", "RTDE jitter", "round trip"}
 

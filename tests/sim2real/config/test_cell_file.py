@@ -44,8 +44,8 @@ from dual_ur10.sim2real.config.cell_file_text import Key, toml_text
 from dual_ur10.sim2real.config.perturbation import Perturbation
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.control.servoj import ServojProfile
-from dual_ur10.sim2real.emulator.emulator import Emulator, EmulatorOptions, write_cell_file
 from tests.soak import scaled
+from ur_emulator.emulator import Emulator, EmulatorOptions, write_cell_file
 
 ROOT = Path(__file__).parents[3]
 DELETE = object()

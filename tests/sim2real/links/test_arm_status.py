@@ -7,8 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dual_ur10.sim2real.emulator.profile import PROFILES
-from dual_ur10.sim2real.emulator.rtde_variables import output_types, zero_values
 from dual_ur10.sim2real.links.arm_status import (
     OPTIONAL_VARIABLES,
     ROW,
@@ -20,6 +18,8 @@ from dual_ur10.sim2real.links.arm_status import (
 from dual_ur10.sim2real.links.rtde_link import RtdeLink
 from dual_ur10.sim2real.links.rtde_stream import Sample
 from tests.sim2real.statuses import status_of
+from ur_emulator.profile import PROFILES
+from ur_emulator.rtde_variables import output_types, zero_values
 
 
 def test_an_arm_may_move_in_one_state():

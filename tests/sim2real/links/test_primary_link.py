@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 from dual_ur10.errors import LinkError, ProtocolError, SettingsError
 from dual_ur10.kinematics.robots import MODEL_OF_FAMILY
 from dual_ur10.kinematics.ur10 import DH_A_M, DH_ALPHA_RAD, DH_D_M, DHParameters, nominal_dh
-from dual_ur10.sim2real.emulator.profile import PROFILES
-from dual_ur10.sim2real.emulator.rtde_variables import zero_values
 from dual_ur10.sim2real.links.primary_link import _Reader, read_primary
 from dual_ur10.sim2real.protocol.primary_messages import text_message, version_message
 from dual_ur10.sim2real.protocol.primary_packet import PrimaryPacket, kinematics_checksums
 from tests.sim2real.links.fake_servers import serving, until_closed
 from tests.soak import scaled
+from ur_emulator.profile import PROFILES
+from ur_emulator.rtde_variables import zero_values
 
 HERE = "127.0.0.1"
 PROFILE = PROFILES["cb3"]

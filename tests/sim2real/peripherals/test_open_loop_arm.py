@@ -11,12 +11,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from dual_ur10.errors import SettingsError
-from dual_ur10.sim2real.emulator.serial_firmware import SerialFirmware
 from dual_ur10.sim2real.peripherals.open_loop_arm import SerialLimits, execute
 from dual_ur10.sim2real.protocol.serial_arm import MotionState, Request
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, ResultCode
 from tests.sim2real.serial_rig import STEP_S, Rig, serial_port, trajectory
 from tests.soak import scaled
+from ur_emulator.serial_firmware import SerialFirmware
 
 REJECTED = ("rejected", ResultCode.INVALID_GOAL)
 ABORTED = ("aborted", ResultCode.PATH_TOLERANCE_VIOLATED)
@@ -296,9 +296,9 @@ def test_bad_trajectories_are_refused_with_joint_and_remedy(rig, motion, words):
 
 @given(st.integers(0, 2**32 - 1))
 def test_bounds_of_cubics_hold_everywhere(seed):
-    from dual_ur10.sim2real.emulator.serial_firmware import _hermite
     from dual_ur10.sim2real.peripherals.open_loop_arm import _extremes
     from dual_ur10.sim2real.protocol.serial_arm import Point
+    from ur_emulator.serial_firmware import _hermite
 
     rng = np.random.default_rng(seed)
     motion = bad(

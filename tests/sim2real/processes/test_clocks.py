@@ -6,6 +6,7 @@ import textwrap
 from pathlib import Path
 
 import dual_ur10
+import ur_emulator
 
 LABELS = {"sim2real/recording/header.py": {"now"}, "sim2real/processes/clock.py": {"now"}}
 """Modules that write the time of day into texts for people, and the functions they call."""
@@ -28,8 +29,10 @@ def time_functions(source):
 
 
 def test_the_time_of_day_is_a_label_only():
-    root = Path(dual_ur10.__file__).parent
-    found = {str(path.relative_to(root)): time_functions(path.read_text()) for path in sorted(root.rglob("*.py"))}
+    roots = [Path(each.__file__).parent for each in (dual_ur10, ur_emulator)]
+    found = {
+        str(path.relative_to(root)): time_functions(path.read_text()) for root in roots for path in root.rglob("*.py")
+    }
     assert len(found) > 100
     assert {name: names for name, names in found.items() if names} == LABELS
 

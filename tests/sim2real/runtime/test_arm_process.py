@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from dual_ur10.errors import LinkError, SettingsError
-from dual_ur10.sim2real.emulator.cell_requests import CellRequests
-from dual_ur10.sim2real.emulator.emulator import Emulator, EmulatorOptions
 from dual_ur10.sim2real.links.json_link import JsonLink
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_process import ArmConnection, ArmProcess, _round_trip_s
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
 from dual_ur10.testing import VirtualCell
 from tests.sim2real.runtime.pair import SERVOJ, TICK_S, Pair, assert_rests_on_path, assert_stops_both, numbers_of
+from ur_emulator.cell_requests import CellRequests
+from ur_emulator.emulator import Emulator, EmulatorOptions
 
 
 @pytest.fixture(scope="module")

@@ -371,7 +371,7 @@ class VirtualLab(FaultLab):
 
     def __init__(self, task="SineTracking", file=None, **options):
         self._messages = _Messages()
-        self._log = logging.getLogger("dual_ur10.sim2real.emulator")
+        self._log = logging.getLogger("ur_emulator")
         self._level = self._log.level
         self._log.setLevel(logging.INFO)
         self._log.addHandler(self._messages)

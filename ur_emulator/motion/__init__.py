@@ -1,0 +1,12 @@
+"""Reference motion of one arm, tick by tick, as a UR controller generates it.
+
+All times are trajectory time, which the caller may advance more slowly than the clock, or stop. A motion whose whole
+course is known is a *trajectory*: positions as a function of its time. Blends, and motions that start while the arm
+moves, are sums of two trajectories, so that speeds have no jumps.
+"""
+
+from ur_emulator.motion.joint_torque import JointTorques
+from ur_emulator.motion.motion import Motion
+from ur_emulator.motion.reference import Handle, MotionFault
+
+__all__ = ["Handle", "JointTorques", "Motion", "MotionFault"]

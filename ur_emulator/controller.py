@@ -198,7 +198,7 @@ class Controller:
         """Begin one control period: measure, run the program, and plan the motion.
 
         Returns:
-            (substeps, 3, 6): the motion, as `EmulatedWorld.advance` takes it.
+            (substeps, 3, 6): the motion, as `CellWorld.advance` takes it.
         """
         self.ticks += 1
         self.previous, self.reading = self.reading, reading

@@ -33,9 +33,9 @@ from dual_ur10.sim2real.runtime.latch import clear_ended
 from ur_emulator.addresses import checked_address, free_address
 from ur_emulator.arm_server import ArmServer, LinePeer
 from ur_emulator.builtins import builtins_of
+from ur_emulator.cell_world import CellWorld, PlantOptions
 from ur_emulator.controller import Controller
 from ur_emulator.fault_injection import FaultInjection
-from ur_emulator.mujoco_world import EmulatedWorld, PlantOptions
 from ur_emulator.profile import profile_for, profile_of, profile_of_version
 from ur_emulator.program_files import script_texts
 from ur_emulator.robotiq import RobotiqGripper
@@ -127,7 +127,7 @@ class Emulator:
         config = cell_of(options)
         self._family = config.servoj.family
         plant = PlantOptions(plant=options.plant, seed=options.seed, dh_error_m=options.dh_error_m)
-        self.world = EmulatedWorld(config, options.task, plant)
+        self.world = CellWorld(config, options.task, plant)
         self.tick_s = config.servoj.tick_s
         self._period_s = self.tick_s * (1.0 + 1e-6 * options.drift_ppm)
         self._due_s = self._clock.now_s()

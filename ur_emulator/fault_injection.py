@@ -26,8 +26,8 @@ from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply
 from dual_ur10.kinematics.ur10 import ARMS
 from ur_emulator.arm_server import ArmServer, RtdePeer
+from ur_emulator.cell_world import CellWorld
 from ur_emulator.link_faults import MAX_LATE_S, LinkFaults
-from ur_emulator.mujoco_world import EmulatedWorld
 
 _MAX_DELAY_S: Final = 2.0
 _MAX_DISTANCE_M: Final = 10.0
@@ -68,7 +68,7 @@ class CellUnderTest(Protocol):
         ...
 
     @property
-    def world(self) -> EmulatedWorld:
+    def world(self) -> CellWorld:
         """Simulation of both arms."""
         ...
 

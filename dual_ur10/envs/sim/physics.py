@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from dual_ur10.assets.scene import build_model
+from dual_ur10.assets.torque_control import TorqueControl, Torques
 from dual_ur10.envs.sim.feedforward import FeedForward
 from dual_ur10.envs.sim.handling import Handling
 from dual_ur10.envs.sim.plant import Plant
 from dual_ur10.envs.sim.servo_reference import Motion
-from dual_ur10.envs.sim.torque_control import TorqueControl, Torques
 from dual_ur10.errors import SettingsError
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
 from dual_ur10.types import Array, Rows

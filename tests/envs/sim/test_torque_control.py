@@ -11,10 +11,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from dual_ur10.assets.settings import default_mount, home_q_rad
+from dual_ur10.assets.torque_control import Torques
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.sim.physics import Physics
 from dual_ur10.envs.sim.servo_reference import Motion
-from dual_ur10.envs.sim.torque_control import Torques
 from dual_ur10.kinematics.dynamics import inverse_dynamics, mass_matrix
 from dual_ur10.kinematics.robots import ROBOTS
 from dual_ur10.sim2real.config.cell import CellConfig, Perturbation, Start

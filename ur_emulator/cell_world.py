@@ -10,11 +10,11 @@ import numpy as np
 
 from dual_ur10.assets.gripper import OPENING_M
 from dual_ur10.assets.settings import home_q_rad
+from dual_ur10.assets.torque_control import Torques
 from dual_ur10.envs.core.randomization import PRESETS, apply_sample
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.sim.physics import Physics
 from dual_ur10.envs.sim.servo_reference import Motion
-from dual_ur10.envs.sim.torque_control import Torques
 from dual_ur10.envs.tasks.task import SceneRequirements
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.kinematics.ur10 import ARMS
@@ -55,7 +55,7 @@ class PlantOptions:
             raise SettingsError(f"dh_error_m is {self.dh_error_m!r}: allowed are 0 to {_MAX_DH_ERROR_M:g} m")
 
 
-class EmulatedWorld:
+class CellWorld:
     """Two arms on a table, or the cell of a task, advanced by one control period at a time.
 
     Args:

@@ -8,14 +8,14 @@ from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.control.servoj import ServojProfile
+from ur_emulator.cell_world import CellWorld, PlantOptions
 from ur_emulator.motion import JointTorques, Motion
-from ur_emulator.mujoco_world import EmulatedWorld, PlantOptions
 
 TASKS = (None, "SineTracking", "SyncCarry", "Handover")
 
 
 def world_of(task="SineTracking", family="cb3", **options):
-    return EmulatedWorld(CellConfig(servoj=ServojProfile(family=family)), task, PlantOptions(**options))
+    return CellWorld(CellConfig(servoj=ServojProfile(family=family)), task, PlantOptions(**options))
 
 
 def standing(world):

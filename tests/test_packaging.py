@@ -219,6 +219,18 @@ def test_only_what_starts_emulated_controllers_imports_them():
     assert found == MAY_EMULATE
 
 
+ENVIRONMENTS = {"ur_emulator.cell_world", "ur_emulator.emulator"}
+"""Modules of the emulator that import environments: the world of a cell, and the viewer, once it is asked for."""
+
+
+def test_only_cells_and_the_viewer_need_environments():
+    found = {(name, each) for name, path in _modules() if name.startswith("ur_emulator") for each in _imports(path)
+             if each.startswith(("dual_ur10.envs", "dual_ur10.policies"))}  # fmt: skip
+    assert {name for name, _ in found} == ENVIRONMENTS
+    viewer = "dual_ur10.envs.rendering.viewer"
+    assert {each for name, each in found if name == "ur_emulator.emulator"} == {viewer, f"{viewer}.Viewer"}
+
+
 @pytest.mark.parametrize(
     "room",
     [*(f"dual_ur10/sim2real/{each}" for each in ("links", "runtime", "peripherals", "recording")), "ur_emulator"],

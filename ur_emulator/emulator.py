@@ -1,4 +1,4 @@
-"""Emulated cell: two controllers, their sockets, and one simulation of both arms, on one thread in real time."""
+"""Emulated controllers, their sockets, and the simulation of their arms, on one thread in real time."""
 
 from __future__ import annotations
 
@@ -13,16 +13,15 @@ import tomllib
 from collections import deque
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from dual_ur10.assets.settings import default_mount
-from dual_ur10.envs.core.options import EnvOptions
-from dual_ur10.envs.rendering.viewer import Viewer
 from dual_ur10.errors import AddressError, DualUR10Error, SettingsError
 from dual_ur10.files import check_target, write_text
 from dual_ur10.ids import env_id_of
+from dual_ur10.kinematics.robots import robot_model
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.config.cell_file_text import toml_text
@@ -33,13 +32,16 @@ from dual_ur10.sim2real.runtime.latch import clear_ended
 from ur_emulator.addresses import checked_address, free_address
 from ur_emulator.arm_server import ArmServer, LinePeer
 from ur_emulator.builtins import builtins_of
-from ur_emulator.cell_world import CellWorld, PlantOptions
 from ur_emulator.controller import Controller
 from ur_emulator.fault_injection import FaultInjection
 from ur_emulator.profile import profile_for, profile_of, profile_of_version
 from ur_emulator.program_files import script_texts
 from ur_emulator.robotiq import RobotiqGripper
 from ur_emulator.sockets import Hub
+from ur_emulator.world import PlantOptions, World
+
+if TYPE_CHECKING:
+    from dual_ur10.envs.rendering.viewer import Viewer
 
 log = logging.getLogger(__name__)
 
@@ -57,9 +59,11 @@ BOOT_S: Final = (1000.0, 2345.676)
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class EmulatorOptions:
-    """Options of an emulated cell.
+    """Options of an emulated cell, or of one controller.
 
     Attributes:
+        alone: True for one controller instead of two: its arm stands by itself. `left` is its address, and `right`,
+            `task`, `family` and `cell` cannot be set.
         left, right: Loopback addresses; None finds free ones.
         family: Family of both controllers; None: that of `robot`.
         robot: Model of both arms, or of the left and the right one; None: a UR10, or a UR10e of the e-Series.
@@ -79,6 +83,7 @@ class EmulatorOptions:
             clock, parts per million.
     """
 
+    alone: bool = False
     left: str | None = None
     right: str | None = None
     family: str | None = None
@@ -110,10 +115,12 @@ class EmulatorOptions:
 
 
 class Emulator:
-    """Two controllers and their world. It listens from the start, and advances in `run`.
+    """Controllers and their world. It listens from the start, and advances in `run`.
 
     Args:
-        options: Options of the cell.
+        options: Options of the cell, or of one controller.
+        config: Cell of both arms; None: that of the arms that the options name.
+        hub: Sockets that emulators share which take turns; None: its own.
         system: Clock and network.
 
     Raises:
@@ -121,16 +128,20 @@ class Emulator:
         DualUR10Error: An option is invalid.
     """
 
-    def __init__(self, options: EmulatorOptions, *, system: System = LOCAL) -> None:
+    def __init__(
+        self,
+        options: EmulatorOptions,
+        *,
+        config: CellConfig | None = None,
+        hub: Hub | None = None,
+        system: System = LOCAL,
+    ) -> None:
         self._system, self._clock = system, system.clock
         self.options = options
-        config = cell_of(options)
-        self._family = config.servoj.family
-        plant = PlantOptions(plant=options.plant, seed=options.seed, dh_error_m=options.dh_error_m)
-        self.world = CellWorld(config, options.task, plant)
-        self.tick_s = config.servoj.tick_s
+        self.world: World = _world_of(options, config)
+        self.tick_s = self.world.tick_s
         self._period_s = self.tick_s * (1.0 + 1e-6 * options.drift_ppm)
-        self._due_s = self._clock.now_s()
+        self.due_s = self._clock.now_s()
         self.ended = False
         self.ticks = 0
         self.lateness_s: deque[float] = deque(maxlen=_LATENESS)
@@ -138,23 +149,23 @@ class Emulator:
         self.lost_s = 0.0
         self._diverged = False
         self.servers: list[ArmServer] = []
-        self._hub = Hub(options.seed, system=system)
+        self._hub = Hub(options.seed, system=system) if hub is None else hub
         self._injection = FaultInjection(self, options.seed)
         self._viewer: Viewer | None = None
         self._rendered_s = 0.0
-        mounts = (self.world.config.left, self.world.config.right)
         try:
             hosts = _addresses(options, system)
             programs = {} if options.programs is None else script_texts(options.programs)
-            for arm, name in enumerate(ARMS):
-                profile = profile_for(mounts[arm].robot, options.polyscope)
-                serial_number = str(int(profile.serial_number) + arm)
+            for arm, (name, mount) in enumerate(zip(self.world.names, self.world.mounts, strict=True)):
+                profile = profile_for(mount.robot, options.polyscope)
+                number = int(hosts[arm].rpartition(".")[2]) if options.alone else arm  # no two have the same
+                serial_number = str(int(profile.serial_number) + number)
                 controller = Controller(
                     name,
                     dataclasses.replace(profile, serial_number=serial_number),
                     self.world.start_q_rad[arm],
                     self.world.substeps,
-                    dh=mounts[arm].dh,
+                    dh=mount.dh,
                     builtins=builtins_of,
                     lookahead_scale=float(self.world.lookahead_scale[arm]),
                     gripper_kg=self.world.gripper_kg,
@@ -166,6 +177,8 @@ class Emulator:
                 self.servers.append(ArmServer(self._hub, controller, hosts[arm], gripper, self._off, programs))
             self._port = self._hub.add("fault injection", (hosts[0], 0), lambda: LinePeer(self._injection.answer))
             if options.view:
+                from dual_ur10.envs.rendering.viewer import Viewer
+
                 self._viewer = Viewer(web=True)
                 self._viewer.show(*self.world.draw())
             if options.cell is not None:
@@ -181,18 +194,17 @@ class Emulator:
 
     def description(self) -> dict[str, Any]:
         """Return the content of the cell file."""
-        config = self.world.config
         arms = {
             name: {
                 "host": server.host,
-                "family": self._family,
+                "family": server.controller.profile.family,
                 "model": mount.robot,
                 "base_position_m": list(mount.position_m),
                 "base_yaw_rad": mount.yaw_rad,
                 **_serial_number(server.controller),
                 **({"gripper": {"kind": "robotiq"}} if server.gripper is not None else {}),
             }
-            for name, server, mount in zip(ARMS, self.servers, (config.left, config.right), strict=True)
+            for name, server, mount in zip(self.world.names, self.servers, self.world.mounts, strict=True)
         }
         task = {} if self.options.task is None else {"task": env_id_of(self.options.task)}
         return {
@@ -203,31 +215,30 @@ class Emulator:
 
     def run(self) -> None:
         """Advance in real time until the cell ends."""
-        with contextlib.suppress(SettingsError):  # without a state folder there is nothing to clear away
-            clear_ended(self._system)
-        self._system.dedicate()
-        self._due_s = self._clock.now_s()
+        run([self], self._system)
+
+    def begin(self) -> None:
+        """Let the first control period begin now, or at its phase."""
+        self.due_s = self._clock.now_s()
         if self.options.phase_s is not None:
-            self._due_s = (self._due_s // self.tick_s + 1) * self.tick_s + self.options.phase_s % self.tick_s
-        while not self.ended:
-            self.step()
+            self.due_s = (self.due_s // self.tick_s + 1) * self.tick_s + self.options.phase_s % self.tick_s
 
     def step(self) -> None:
         """Serve the clients until the next control period is due, and advance by it."""
-        self._hub.poll(self._due_s)
-        late = self._clock.now_s() - self._due_s
+        self._hub.poll(self.due_s)
+        late = self._clock.now_s() - self.due_s
         self.lateness_s.append(late)
         if late > self.tick_s:
             self.late_ticks.append(self.ticks)
         if late > MAX_STALL_S:
             log.warning("the machine stalled for %.0f ms: the cell's time stalled, too", 1e3 * late)
             self.lost_s += late
-            self._due_s += late
+            self.due_s += late
         self.tick()
-        self._due_s += self._period_s
+        self.due_s += self._period_s
 
     def tick(self) -> None:
-        """Advance both arms by one control period."""
+        """Advance all arms by one control period."""
         plans, widths = [], []
         for arm, server in enumerate(self.servers):
             server.before_tick()
@@ -276,7 +287,7 @@ class Emulator:
         }
 
     def _off(self) -> None:
-        """Shut one controller down. The cell goes on until both are off."""
+        """Shut one controller down. The cell goes on until all are off."""
         self.ended = all(each.controller.safety.robot_mode == RobotMode.DISCONNECTED for each in self.servers)
 
     def close(self) -> None:
@@ -288,13 +299,45 @@ class Emulator:
             self._viewer = None
 
 
+def run(emulators: Sequence[Emulator], system: System = LOCAL) -> None:
+    """Advance emulators that share their sockets in real time, until all have ended."""
+    with contextlib.suppress(SettingsError):  # without a state folder there is nothing to clear away
+        clear_ended(system)
+    system.dedicate()
+    for each in emulators:
+        each.begin()
+    while running := [each for each in emulators if not each.ended]:
+        min(running, key=_due).step()
+
+
+def _due(emulator: Emulator) -> float:
+    return emulator.due_s
+
+
+def _world_of(options: EmulatorOptions, config: CellConfig | None) -> World:
+    """Return the world of the arms that options name."""
+    plant = PlantOptions(plant=options.plant, seed=options.seed, dh_error_m=options.dh_error_m)
+    if not options.alone:
+        from ur_emulator.cell_world import CellWorld  # which loads environments
+
+        return CellWorld(cell_of(options) if config is None else config, options.task, plant)
+    from ur_emulator.lone_arm import LoneArm
+
+    for name in ("right", "task", "family", "cell"):
+        if getattr(options, name) is not None:
+            raise SettingsError(f"a controller by itself has no {name!r}: leave it out, or emulate a cell")
+    if not isinstance(options.robot, str):
+        raise SettingsError(f"robot is {options.robot!r}: name the model of a controller by itself, such as 'ur5e'")
+    return LoneArm(options.robot, plant)
+
+
 def cell_of(options: EmulatorOptions) -> CellConfig:
     """Return the cell of the arms that options name.
 
     Raises:
         SettingsError: Or one of its kinds: there is no such model, family or version, or they do not fit.
     """
-    family, robots = options.family, EnvOptions(robot=options.robot).robots  # type: ignore[arg-type]  # checks it
+    family, robots = options.family, _both(options.robot)
     if robots is None:
         if family is None and options.polyscope is not None:
             family = profile_of_version(options.polyscope).family
@@ -303,6 +346,21 @@ def cell_of(options: EmulatorOptions) -> CellConfig:
     if family is None:
         return CellConfig(left=left, right=right)
     return CellConfig(left=left, right=right, servoj=ServojProfile(profile_of(family).family))
+
+
+def _both(robot: str | Sequence[str] | None) -> Sequence[str] | None:
+    """Return the models of both arms; None: those of the family.
+
+    Raises:
+        UnknownNameError: There is no such model.
+        SettingsError: There are not two.
+    """
+    robots = [robot] * len(ARMS) if isinstance(robot, str) else robot
+    if robots is not None and (not isinstance(robots, tuple | list) or len(robots) != len(ARMS)):
+        raise SettingsError(f"robot is {robot!r}: name one model, or one for each arm, such as 'ur5e'")
+    for each in robots or ():
+        robot_model(each)
+    return robots
 
 
 def _serial_number(controller: Controller) -> dict[str, str]:
@@ -320,15 +378,16 @@ def _gripper_width(server: ArmServer, tick_s: float, width_m: float | None) -> f
     return gripper.tick(tick_s, width_m)
 
 
-def _addresses(options: EmulatorOptions, system: System) -> tuple[str, str]:
-    given = [options.left, options.right]
-    if given[0] is not None and given[0] == given[1]:
+def _addresses(options: EmulatorOptions, system: System) -> list[str]:
+    given = [options.left] if options.alone else [options.left, options.right]
+    if given[0] is not None and given[0] == given[-1] and len(given) > 1:
         raise AddressError(f"both arms have the address {given[0]}: each needs one of its own, as UR's ports are fixed")
     hosts = [None if host is None else checked_address(host, system) for host in given]
-    for arm in range(2):
-        if hosts[arm] is None:
-            hosts[arm] = free_address([each for each in hosts if each is not None], system)
-    return str(hosts[0]), str(hosts[1])
+    found: list[str] = []
+    for host in hosts:
+        taken = [each for each in (*hosts, *found) if each is not None]
+        found.append(free_address(taken, system) if host is None else host)
+    return found
 
 
 def write_cell_file(path: str | Path, description: Mapping[str, Any]) -> None:

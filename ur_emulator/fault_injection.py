@@ -24,10 +24,9 @@ from pydantic import BaseModel, ConfigDict, Field, InstanceOf, ValidationError, 
 
 from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply
-from dual_ur10.kinematics.ur10 import ARMS
 from ur_emulator.arm_server import ArmServer, RtdePeer
-from ur_emulator.cell_world import CellWorld
 from ur_emulator.link_faults import MAX_LATE_S, LinkFaults
+from ur_emulator.world import World
 
 _MAX_DELAY_S: Final = 2.0
 _MAX_DISTANCE_M: Final = 10.0
@@ -64,12 +63,12 @@ class CellUnderTest(Protocol):
 
     @property
     def servers(self) -> Sequence[ArmServer]:
-        """Controllers of the left and the right arm."""
+        """Its controllers."""
         ...
 
     @property
-    def world(self) -> CellWorld:
-        """Simulation of both arms."""
+    def world(self) -> World:
+        """Simulation of the arms."""
         ...
 
     @property
@@ -86,7 +85,7 @@ class FaultInjection:
     """Server of the fault-injection port: one method `do_<name>` per request.
 
     A request is validated strictly against the parameters of its method: an unknown key, a missing one, a value of
-    another type and a number out of bounds are refused.
+    another type and a number out of bounds are refused. The arm may be left out where there is one.
 
     Args:
         cell: The cell that requests act on.
@@ -117,6 +116,8 @@ class FaultInjection:
         name = request.pop("do")
         if name not in self._requests:
             raise UnknownNameError("request", name, tuple(self._requests))
+        if len(self._cell.world.names) == 1 and "arm" in self._models[name].model_fields:
+            request.setdefault("arm", self._cell.world.names[0])
         try:
             values = self._models[name].model_validate(request)
         except ValidationError as error:
@@ -125,9 +126,10 @@ class FaultInjection:
         return self._requests[name](**{key: value for key, value in values if key in given})
 
     def _index(self, arm: str) -> int:
-        if arm not in ARMS:
-            raise UnknownNameError("arm", arm, ARMS)
-        return ARMS.index(arm)
+        names = self._cell.world.names
+        if arm not in names:
+            raise UnknownNameError("arm", arm, names)
+        return names.index(arm)
 
     def _arm(self, arm: str) -> ArmServer:
         return self._cell.servers[self._index(arm)]

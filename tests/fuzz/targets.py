@@ -492,6 +492,8 @@ class _Hub:
 class _World:
     """World of one body that can be placed."""
 
+    names = ("left", "right")
+
     def pose(self, body: str) -> Any:
         if body != "block":
             raise UnknownNameError("body", body, ("block",))

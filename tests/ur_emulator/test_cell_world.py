@@ -8,8 +8,9 @@ from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.control.servoj import ServojProfile
-from ur_emulator.cell_world import CellWorld, PlantOptions
+from ur_emulator.cell_world import CellWorld
 from ur_emulator.motion import JointTorques, Motion
+from ur_emulator.world import PlantOptions
 
 TASKS = (None, "SineTracking", "SyncCarry", "Handover")
 

@@ -23,7 +23,7 @@ _HOSTS = ("127.0.0.2", "127.0.0.3")
 _IDLE_HOSTS = ("127.0.0.4", "127.0.0.5")
 """Addresses of controllers that nobody uses: the right one of the left arm's emulator, the left one of the other."""
 
-_NOT_VIRTUAL = ("view", "cell")
+_NOT_VIRTUAL = ("alone", "view", "cell")
 
 
 class VirtualCell(CellRequests):
@@ -37,7 +37,7 @@ class VirtualCell(CellRequests):
         file: Keys of the cell file that differ from those of the emulated cell, such as `speed_factor`.
         right: Options of the right controller that differ, such as `phase_s` and `drift_ppm`: it then has a clock and a
             world of its own. None: both controllers share them.
-        **options: See `ur_emulator.emulator.EmulatorOptions`; without `view` and `cell`.
+        **options: See `ur_emulator.emulator.EmulatorOptions`; without `alone`, `view` and `cell`.
 
     Attributes:
         file: Cell file of environments that are made from now on.
@@ -79,7 +79,7 @@ class VirtualCell(CellRequests):
                     self._emulator("right controller", {**hosts, "left": _IDLE_HOSTS[1], **options, **right}),
                 ]
             self.emulator = self.emulators[0]
-            if right is not None and self.emulator.world.config.equipment.prop:
+            if right is not None and self.emulator.world.has_object:
                 raise VirtualCellError(
                     "two controllers with worlds of their own cannot hold one object, as "
                     f"{self.emulator.options.task} requires: leave out `right`"

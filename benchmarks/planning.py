@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.assets.obstacles import Box
+from dual_ur10.assets.props import BAR
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.errors import PlanningError, TrajectoryError
 from dual_ur10.kinematics import flange_pose, nearest
@@ -49,7 +50,7 @@ TICKS = 5
 SCENES = {
     "bare": SceneSettings(),
     "pillar": SceneSettings(obstacles=(Box(name="pillar", position_m=(-0.3, 0.0, 0.4), size_m=(0.3, 0.3, 0.8)),)),
-    "grippers and bar": SceneSettings(equipment=Equipment(grippers=True, prop="bar")),
+    "grippers and bar": SceneSettings(equipment=Equipment(grippers=True, props=(BAR,))),
 }
 
 

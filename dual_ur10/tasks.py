@@ -9,8 +9,17 @@ It holds names only; each is documented where it is defined. It imports `envs` a
 imports it.
 """
 
+from dual_ur10.assets.prop import Camera, Capsule, Prop
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, home_q_rad
-from dual_ur10.envs.tasks.observation_layout import ARM_FIELDS, Field, ObservationLayout, arm_values
+from dual_ur10.envs.tasks.observation_layout import (
+    ARM_FIELDS,
+    Field,
+    ObservationLayout,
+    arm_values,
+    gripper_field,
+    pose_fields,
+    pose_values,
+)
 from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Task, Timing, check_numbers, gaussian
 from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics.frames import Frames
@@ -26,6 +35,8 @@ __all__ = [
     "ARM_FIELDS",
     "HOME_Q_RAD",
     "Array",
+    "Camera",
+    "Capsule",
     "CellConfig",
     "CellState",
     "Equipment",
@@ -37,6 +48,7 @@ __all__ = [
     "ObservationLayout",
     "Outcome",
     "Poses",
+    "Prop",
     "Reinforcement",
     "Rows",
     "SceneRequirements",
@@ -49,6 +61,9 @@ __all__ = [
     "arm_values",
     "check_numbers",
     "gaussian",
+    "gripper_field",
     "home_q_rad",
+    "pose_fields",
+    "pose_values",
     "register",
 ]

@@ -111,6 +111,7 @@ def measured() -> dict[str, str]:
 def constants() -> dict[str, str]:
     """Return the facts of the code."""
     from dual_ur10.assets.collision_model import clearance_pairs
+    from dual_ur10.assets.props import BAR
     from dual_ur10.assets.settings import Equipment, SceneSettings
     from dual_ur10.envs.core.setup import load_task
     from dual_ur10.ids import ENV_IDS
@@ -145,7 +146,7 @@ def constants() -> dict[str, str]:
     for name, equipment in (
         ("bare", Equipment()),
         ("gripper", Equipment(grippers=True)),
-        ("payload", Equipment(grippers=True, prop="bar")),
+        ("payload", Equipment(grippers=True, props=(BAR,))),
     ):
         facts[f"{name}_pairs"] = f"{len(clearance_pairs(SceneSettings(equipment=equipment)))}"
     facts["payload_adds"] = f"{int(facts['payload_pairs']) - int(facts['gripper_pairs'])}"

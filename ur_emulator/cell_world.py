@@ -20,7 +20,7 @@ from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.sim.physics import Physics
 from dual_ur10.envs.sim.servo_reference import Motion
 from dual_ur10.envs.tasks.task import SceneRequirements
-from dual_ur10.errors import UnknownNameError
+from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
@@ -86,7 +86,7 @@ class CellWorld:
     @property
     def has_object(self) -> bool:
         """See `World`."""
-        return self.config.equipment.prop is not None
+        return any(each.free for each in self.config.equipment.props)
 
     def read(self, arm: int) -> ArmReading:
         """See `World`."""
@@ -129,15 +129,24 @@ class CellWorld:
     def pose(self, body: str) -> tuple[Array, Array]:
         """See `World`."""
         model = self._physics.model
+        props = {each.name: each.body for each in self.config.equipment.props}
         names = [model.body(index).name for index in range(1, model.nbody)]
-        if body not in names:
-            raise UnknownNameError("body", body, names)
-        index = model.body(body).id
+        if body not in names and body not in props:
+            raise UnknownNameError("body", body, [*props, *names])
+        index = model.body(props.get(body, body)).id
         return self._positions[0, index].copy(), self._orientations[0, index].copy()
 
-    def place(self, pose: Array) -> None:
+    def joints(self, prop: str) -> dict[str, float]:
         """See `World`."""
-        self._physics.place(pose)
+        names = [joint for each in self.config.equipment.props if each.name == prop for joint in each.joints]
+        return {name: float(self._state.joints[name][0]) for name in names}
+
+    def place(self, pose: Array, prop: str = "") -> None:
+        """See `World`."""
+        free = [each.name for each in self.config.equipment.props if each.free]
+        if not prop and len(free) != 1:
+            raise SettingsError(f"name one of the objects of this cell: {', '.join(free) or 'there is none'}")
+        self._physics.place(prop or free[0], pose)
 
     def push(self, arm: int, wrench: Array, duration_s: float) -> None:
         """See `World`."""

@@ -158,8 +158,11 @@ class FaultInjection:
 
     def do_pose(
         self, body: str, noise_m: _NoiseM = 0.0, noise_rad: _NoiseRad = 0.0, delay_s: _Delay = 0.0
-    ) -> dict[str, list[float]]:
-        """Return position and orientation (w, x, y, z) of a body in the cell frame, as a camera measures them."""
+    ) -> dict[str, Any]:
+        """Return position and orientation (w, x, y, z) of a body in the cell frame, as a camera measures them.
+
+        A prop is a body by its name, too; the answer has the present positions of its joints.
+        """
         position, quat = (each.tolist() for each in self._cell.world.pose(body))
         if delay_s:
             now = self._cell.time_s
@@ -172,7 +175,8 @@ class FaultInjection:
         if noise_rad:
             rotation = quat_from_rotvec([self._random.gauss(0.0, noise_rad) for _ in range(3)])
             quat = quat_multiply(rotation, quat).tolist()
-        return {"position_m": position, "quat": quat}
+        joints = self._cell.world.joints(body)
+        return {"position_m": position, "quat": quat, **({"joints": joints} if joints else {})}
 
     def do_setpoints(self, arm: str, since: _Since = 0) -> dict[str, Any]:
         """Return executed servoj targets from number `since`, at most 1000: tick, target, t, lookahead, gain."""
@@ -239,14 +243,14 @@ class FaultInjection:
         """Store a program on the controller, for the dashboard's `load`."""
         self._arm(arm).pendant.keep(name, text)
 
-    def do_place(self, position_m: list[float], quat: list[float]) -> None:
-        """Place the object of the task, at rest."""
+    def do_place(self, position_m: list[float], quat: list[float], prop: _Text = "") -> None:
+        """Place an object of the task, at rest: the one of this name, or the only one."""
         pose = [*position_m, *quat]
         if len(pose) != 7 or abs(math.hypot(*pose[3:]) - 1.0) > 1e-3:
             raise SettingsError("an object needs three coordinates and a unit quaternion (w, x, y, z)")
         if max(map(abs, pose[:3])) > _MAX_DISTANCE_M:
             raise SettingsError(f"an object cannot be put at {pose[:3]}: allowed are ±{_MAX_DISTANCE_M:g} m")
-        self._cell.world.place(np.array(pose, dtype=np.float64))
+        self._cell.world.place(np.array(pose, dtype=np.float64), prop)
 
     def do_push(self, arm: str, wrench: _Wrench, seconds: _Push) -> None:
         """Push an arm's flange by hand: force and torque along the axes of its `base`. In freedrive it yields."""

@@ -170,7 +170,11 @@ class LoneArm:
         index = model.body(f"{prefix}{body}").id
         return data.xpos[index].copy(), data.xquat[index].copy()
 
-    def place(self, pose: Array) -> None:
+    def joints(self, prop: str) -> dict[str, float]:
+        """See `World`."""
+        return {}
+
+    def place(self, pose: Array, prop: str = "") -> None:
         """See `World`."""
         raise SettingsError("a controller by itself has no object to place: emulate a cell with the scene of a task")
 
@@ -204,7 +208,7 @@ class _Fields:
 def _model_of(mount: ArmMount, *, visuals: bool = False) -> Any:
     """Return the model of one arm with its base at the origin: a cell of two without the other arm, table and floor."""
     other = default_mount(1, mount.robot)
-    spec = mujoco.MjSpec.from_string(compose(SceneSettings(left=mount, right=other), visuals=visuals))
+    spec = compose(SceneSettings(left=mount, right=other), visuals=visuals)
     spec.delete(spec.body(f"{ARMS[1]}/"))
     for name in ("table", "floor"):
         spec.delete(spec.geom(name))

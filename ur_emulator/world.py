@@ -110,18 +110,27 @@ class World(Protocol):
         """
 
     def pose(self, body: str) -> tuple[Array, Array]:
-        """Return position (3,) and orientation (4,), (w, x, y, z), of a body in the cell frame.
+        """Return position (3,) and orientation (4,), (w, x, y, z), of a body, or of a prop, in the cell frame.
 
         Raises:
             UnknownNameError: There is no such body.
         """
         ...
 
-    def place(self, pose: Array) -> None:
-        """Place the handled object at a pose, (7,) position and (w, x, y, z), at rest.
+    def joints(self, prop: str) -> dict[str, float]:
+        """Return the positions of a prop's joints, rad or m, by their names; {} for other bodies."""
+        ...
+
+    def place(self, pose: Array, prop: str = "") -> None:
+        """Place an object at a pose, (7,) position and (w, x, y, z), at rest.
+
+        Args:
+            pose: The pose.
+            prop: Name of the object; "": the only one.
 
         Raises:
-            SettingsError: There is none.
+            SettingsError: There is none, or there are several and none is named.
+            UnknownNameError: There is no such object.
         """
 
     def push(self, arm: int, wrench: Array, duration_s: float) -> None:

@@ -32,7 +32,7 @@ def cell_spec(settings: SceneSettings) -> Any:
     spec.option.timestep = settings.timestep_s
     spec.option.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{settings.integrator.upper()}")
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    if settings.equipment.grippers or settings.equipment.prop:
+    if settings.equipment.grippers or settings.equipment.props:
         spec.option.impratio = 100  # divides the rate at which gripped objects creep
     # A diverged simulation must be seen by the caller, not silently start again from t = 0.
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
@@ -108,10 +108,10 @@ def _geom_of(obstacle: Obstacle) -> dict[str, Any]:
 
 
 def joint_names(settings: SceneSettings) -> tuple[str, ...]:
-    """Return the joints of the cell in the order of `qpos`: left arm, left fingers, right arm, right fingers, prop."""
+    """Return the joints of the cell in the order of `qpos`: left arm, left fingers, right arm, right fingers, props."""
     each = (*JOINTS, *FINGER_JOINTS) if settings.equipment.grippers else JOINTS
-    prop = (settings.equipment.prop,) if settings.equipment.prop else ()
-    return (*(f"{arm}/{joint}" for arm in ARMS for joint in each), *prop)
+    props = (joint for prop in settings.equipment.props for joint in prop.joint_names)
+    return (*(f"{arm}/{joint}" for arm in ARMS for joint in each), *props)
 
 
 def actuator_names(settings: SceneSettings) -> tuple[str, ...]:

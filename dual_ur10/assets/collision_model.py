@@ -2,10 +2,10 @@
 
 The safety gate's kernel takes the shapes and pairs from it and measures by itself; the sensors check it in tests.
 
-Nothing reports to the safety gate whether a gripper holds the prop. So each gripper of a cell with a prop carries the
-payload geometry all the time: the prop where it should be gripped, and of the bar, which both grippers hold, the part
-up to its middle. An empty gripper keeps the same distances. The table, on which the prop lies, is left out: a gripper
-that comes to take the prop, and is not level, would be refused for an object that it does not hold yet.
+Nothing reports to the safety gate whether a gripper holds a prop. So each gripper carries the payload geometry of each
+prop, `Prop.held`, all the time: the prop where it should be gripped, and of the bar, which both grippers hold, the part
+up to its middle. An empty gripper keeps the same distances. The table, on which props lie, is left out: a gripper
+that comes to take a prop, and is not level, would be refused for an object that it does not hold yet.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from dual_ur10.assets.arm import arm_spec, remove_visuals
 from dual_ur10.assets.cell_spec import add_obstacles, attach_arm, cell_spec, compiled, joint_names
 from dual_ur10.assets.gripper import TCP_M, add_gripper
 from dual_ur10.assets.obstacles import geom_name
-from dual_ur10.assets.props import BAR_LENGTH_M, BAR_WIDTH_M, BLOCK_GRIP_M, BLOCK_SIZE_M, GRIP_DISTANCE_M
+from dual_ur10.assets.prop import Capsule
 from dual_ur10.assets.settings import Equipment, SceneSettings
 from dual_ur10.kinematics.ur10 import ARMS, LINKS
 from dual_ur10.types import Array
@@ -37,23 +37,12 @@ CLEARANCE_CUTOFF_M: Final = 0.2
 HULL: Final = ":hull"
 """End of the name of a box's hull."""
 
-HELD: Final = "held"
-"""Name of each arm's payload geometry: a capsule inside the prop, of its width. Edges of the prop protrude by 8 mm."""
+HELD: Final = "held_"
+"""Begin of the name of an arm's payload geometry, which the prop's name follows."""
 
 # What it can meet: the other arm but for its fingers, which take it, and those parts of its own that can get there.
 _PAYLOAD_MEETS_OTHER: Final = ("base_link", *LINKS, "palm")
 _PAYLOAD_MEETS_OWN: Final = ("base_link", "shoulder_link", "upper_arm_link", "forearm_link")
-
-PAYLOAD_PAIRS: Final = tuple(
-    pair
-    for arm, other in (ARMS, ARMS[::-1])
-    for pair in (
-        *((f"{arm}/{HELD}", f"{other}/{part}") for part in _PAYLOAD_MEETS_OTHER),
-        *((f"{arm}/{HELD}", f"{arm}/{part}") for part in _PAYLOAD_MEETS_OWN),
-        (f"{arm}/{HELD}", "floor"),
-    )
-)
-"""Pairs of the collision model that the payload geometry adds."""
 
 # Which parts of one arm can meet. Joints 2, 3 and 4 are parallel, so wrists 1 and 2 always pass base and shoulder
 # sideways; ur10.xml filters their contacts.
@@ -96,15 +85,41 @@ CLEARANCE_PAIRS: Final = _pairs()
 _WITH_GRIPPERS: Final = CLEARANCE_PAIRS + _gripper_pairs()
 
 
-def _payload(settings: SceneSettings) -> str | None:
-    return settings.equipment.prop if settings.equipment.grippers else None
+def payload(settings: SceneSettings, arm: int) -> dict[str, Capsule]:
+    """Return the payload geometry of an arm by the name of its geom, without the prefix of the arm.
+
+    Args:
+        settings: Settings of the cell.
+        arm: Index of the arm in `ARMS`.
+    """
+    if not settings.equipment.grippers:
+        return {}
+    held = ((prop.name, prop.held[arm]) for prop in settings.equipment.props)
+    return {f"{HELD}{name}": capsule for name, capsule in held if capsule is not None}
+
+
+def payload_pairs(settings: SceneSettings) -> tuple[tuple[str, str], ...]:
+    """Return the pairs of the collision model that the payload geometry adds."""
+    return tuple(
+        pair
+        for k, (arm, other) in enumerate((ARMS, ARMS[::-1]))
+        for held in payload(settings, k)
+        for pair in (
+            *((f"{arm}/{held}", f"{other}/{part}") for part in _PAYLOAD_MEETS_OTHER),
+            *((f"{arm}/{held}", f"{arm}/{part}") for part in _PAYLOAD_MEETS_OWN),
+            (f"{arm}/{held}", "floor"),
+        )
+    )
 
 
 def _obstacle_pairs(settings: SceneSettings) -> tuple[tuple[str, str], ...]:
     parts = (*LINKS, *_GRIPPER) if settings.equipment.grippers else LINKS
-    if _payload(settings):
-        parts = (*parts, HELD)
-    return tuple((f"{arm}/{part}", geom_name(each)) for each in settings.obstacles for arm in ARMS for part in parts)
+    return tuple(
+        (f"{arm}/{part}", geom_name(each))
+        for each in settings.obstacles
+        for k, arm in enumerate(ARMS)
+        for part in (*parts, *payload(settings, k))
+    )
 
 
 # A capsule against a box's hull costs up to thirteen times as much as any other pair, a sphere against a box as much as
@@ -118,14 +133,15 @@ def clearance_pairs(settings: SceneSettings) -> tuple[tuple[str, str], ...]:
 
     The pairs are all that can meet: each moving link with the other arm, the table and the floor, and the forearm and
     the wrists with those parts of their own arm that they can reach. Grippers add their `palm` and `fingers` with all
-    of these. A prop adds each arm's payload geometry `held` with all that it can meet, except the table and the other
-    gripper's fingers. Obstacles add, last, each of these parts with each obstacle. The prop itself is not measured.
+    of these. A prop adds each arm's payload geometry `held_<prop>` with all that it can meet, except the table and the
+    other gripper's fingers. Obstacles add, last, each of these parts with each obstacle. The prop itself is not
+    measured.
 
     Args:
         settings: the cell.
     """
     pairs = _WITH_GRIPPERS if settings.equipment.grippers else CLEARANCE_PAIRS
-    pairs = pairs + PAYLOAD_PAIRS if _payload(settings) else pairs
+    pairs = pairs + payload_pairs(settings) if settings.equipment.props else pairs
     return pairs + _obstacle_pairs(settings) if settings.obstacles else pairs
 
 
@@ -153,8 +169,8 @@ def compose_collision_model(settings: SceneSettings) -> Any:
         if settings.equipment.grippers:
             add_gripper(arm, settings, rigid=True)
         _add_balls(arm)
-        if (prop := _payload(settings)) is not None:
-            add_payload_geometry(arm.body("gripper"), name, prop)
+        for geom, capsule in payload(settings, ARMS.index(name)).items():
+            add_payload_geometry(arm.body("gripper"), geom, capsule)
         for unused in (*arm.actuators, *arm.excludes):
             arm.delete(unused)
         attach_arm(spec, arm, name, mount)
@@ -221,28 +237,18 @@ def add_hulls(spec: Any) -> None:
         spec.worldbody.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, pos=box.pos, quat=box.quat)
 
 
-def add_payload_geometry(gripper: Any, arm: str, prop: str) -> None:
-    """Add the payload geometry to a gripper's body, without a mass: that of the body is explicit.
+def add_payload_geometry(gripper: Any, name: str, capsule: Capsule) -> None:
+    """Add payload geometry to a gripper's body, without a mass: that of the body is explicit.
 
     Args:
         gripper: Body of a gripper in an arm's spec.
-        arm: "left" or "right".
-        prop: Name of the prop.
+        name: Name of the geom.
+        capsule: Its shape, in the frame of the tool centre point.
     """
     import mujoco
 
-    first, last = _along_m(prop)
-    side = 1.0 if arm == ARMS[0] else -1.0
-    width = BAR_WIDTH_M if prop == "bar" else BLOCK_SIZE_M[1]
-    fromto = (side * (first + width / 2), 0, TCP_M, side * (last - width / 2), 0, TCP_M)
-    gripper.add_geom(name=HELD, type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=fromto, size=(width / 2, 0, 0))
-
-
-def _along_m(prop: str) -> tuple[float, float]:
-    """Return begin and end of the payload geometry along the left tool's x; along the right tool's it is mirrored."""
-    if prop == "bar":
-        return -(BAR_LENGTH_M - GRIP_DISTANCE_M) / 2, GRIP_DISTANCE_M / 2
-    return -(BLOCK_SIZE_M[0] / 2 + BLOCK_GRIP_M), BLOCK_SIZE_M[0] / 2 - BLOCK_GRIP_M
+    fromto = [x + shift for end in (capsule.from_m, capsule.to_m) for x, shift in zip(end, (0, 0, TCP_M), strict=True)]
+    gripper.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=fromto, size=(capsule.radius_m, 0, 0))
 
 
 def _ball(name: str) -> str:

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any
 from dual_ur10.assets.arm import arm_spec, remove_visuals
 from dual_ur10.assets.cell_spec import actuator_names, add_obstacles, attach_arm, cell_spec, compiled, joint_names
 from dual_ur10.assets.gripper import add_gripper
-from dual_ur10.assets.props import add_prop, weld_bar
 from dual_ur10.assets.settings import SceneSettings
-from dual_ur10.assets.visuals import add_surroundings, draw_gripper, draw_prop, use_meshes
+from dual_ur10.assets.visuals import add_surroundings, draw_gripper, use_meshes
+from dual_ur10.errors import DualUR10Error, SettingsError
 from dual_ur10.kinematics.ur10 import ARMS
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def compose(settings: SceneSettings, *, visuals: bool = True) -> Any:
     """Return a fresh `MjSpec` of the whole cell: `to_xml()` writes it as MJCF.
 
     Joints, actuators and degrees of freedom: the left arm's six, then the right arm's six. With grippers, each arm's
-    are followed by its gripper's (two finger joints, one actuator: the opening in m). A prop's free joint is the last.
+    are followed by its gripper's (two finger joints, one actuator: the opening in m). Props' joints are the last.
     Sensors, each for left and right: `<arm>/flange_base_pos` and `<arm>/flange_base_quat`
     (flange in the arm's own UR `base` frame, m and w, x, y, z) and `<arm>/flange_pos` (flange in the cell frame, m);
     with grippers also `<arm>/wrench_force` and `<arm>/wrench_torque` (N and N·m at the flange, in its axes, that the
@@ -56,15 +56,13 @@ def compose(settings: SceneSettings, *, visuals: bool = True) -> Any:
             if visuals:
                 draw_gripper(arm)
         attach_arm(spec, arm, name, mount)
-    add_prop(spec, settings)
-    if visuals and settings.equipment.prop:
-        draw_prop(spec, settings.equipment.prop)
+    for prop in settings.equipment.props:
+        prop.add_to(spec, settings.timestep_s, visuals=visuals)
     add_obstacles(spec, settings.obstacles)
     _add_flange_sensors(spec)
     if settings.equipment.grippers:
         _add_wrench_sensors(spec)
-    if settings.equipment.welded:
-        weld_bar(spec)
+    _add_welds(spec, settings)
     if settings.meshes and visuals:
         use_meshes(spec)
     return spec
@@ -88,7 +86,14 @@ def build_model(settings: SceneSettings, *, visuals: bool = True) -> mujoco.MjMo
 
 @lru_cache(maxsize=16)
 def _model(settings: SceneSettings, visuals: bool) -> mujoco.MjModel:
-    return compiled(compose(settings, visuals=visuals), joint_names(settings), actuator_names(settings))
+    try:
+        return compiled(compose(settings, visuals=visuals), joint_names(settings), actuator_names(settings))
+    except ValueError as error:
+        for prop in settings.equipment.props:
+            prop.check()  # names the one that is the cause
+        if isinstance(error, DualUR10Error):
+            raise
+        raise SettingsError(f"the scene cannot be compiled: {error}") from error
 
 
 def sensor_slices(model: mujoco.MjModel) -> dict[str, slice]:
@@ -122,3 +127,31 @@ def _add_wrench_sensors(spec: Any) -> None:
             spec.add_sensor(
                 name=f"{arm}/wrench_{word}", type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=f"{arm}/wrench"
             )
+
+
+def _add_welds(spec: Any, settings: SceneSettings) -> None:
+    """Weld grippers to sites of props, and exclude their contacts with the bodies of these sites."""
+    import mujoco
+
+    for tcp, site in settings.equipment.welds:
+        arm, body = tcp.split("/")[0], _body_of(spec, site)
+        # Between sites: the anchor of a weld of bodies is easily misread. With MuJoCo's default solimp, 5 N·m would
+        # rotate the gripper by 0.1° against the bar; with this one it is 0.006°.
+        spec.add_equality(
+            name=f"{arm}_grip",
+            type=mujoco.mjtEq.mjEQ_WELD,
+            objtype=mujoco.mjtObj.mjOBJ_SITE,
+            name1=tcp,
+            name2=site,
+            solref=(0.004, 1),
+            solimp=(0.999, 0.999, 0.001, 0.5, 2.0),
+        )
+        for part in ("gripper", "finger_1", "finger_2"):
+            spec.add_exclude(name=f"{arm}-{part}", bodyname1=f"{arm}/{part}", bodyname2=body)
+
+
+def _body_of(spec: Any, site: str) -> str:
+    found = spec.site(site)
+    if found is None:
+        raise SettingsError(f"welds names the site {site!r}, and no prop has it: add it to the MJCF of the prop")
+    return str(found.parent.name)

@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.assets.obstacles import Obstacle, checked
+from dual_ur10.assets.prop import Camera, Prop, check_props
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.kinematics.dynamics import stretched_inertia_kg_m2
 from dual_ur10.kinematics.frames import MAX_MOUNT_M, ArmMount, finite_floats
@@ -61,9 +62,6 @@ BASE_RADIUS_M: Final = 0.15
 """Radius around a base's axis that its rotating shoulder occupies."""
 
 MIN_BASE_DISTANCE_M: Final = 0.3
-
-PROPS: Final = ("bar", "block")
-"""Objects to handle: see [props][dual_ur10.assets.props]."""
 
 GRIP_FORCE_N: Final = (20.0, 235.0)
 """Least and largest grip force that can be set on a Robotiq 2F-85, by its data sheet."""
@@ -125,38 +123,51 @@ class Equipment:
 
     Attributes:
         grippers: A parallel-jaw gripper on each flange.
-        prop: One of `PROPS` on the table, or None.
-        welded: Both grippers are welded to the bar, instead of holding it by friction.
+        props: Objects and fixtures; see `dual_ur10.assets.prop.Prop`.
+        welds: Pairs of sites, of a gripper ("left/tcp") and of a prop ("bar/left_grip"), that are welded to each other,
+            instead of held by friction.
         grip_force_n: Force with which each finger presses.
+        cameras: Further cameras.
 
     Raises:
-        UnknownNameError: `prop` is no name of a prop.
-        SettingsError: A switch is not True or False, there is nothing to weld, or `grip_force_n` is not within
-            `GRIP_FORCE_N`.
+        SettingsError: `grippers` is not True or False, props, welds or cameras are none or clash, or `grip_force_n` is
+            not within `GRIP_FORCE_N`.
     """
 
     grippers: bool = False
-    prop: str | None = None
-    welded: bool = False
+    props: tuple[Prop, ...] = ()
+    welds: tuple[tuple[str, str], ...] = ()
     grip_force_n: float = 60.0
+    cameras: tuple[Camera, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("grippers", "welded"):
-            if not isinstance(getattr(self, name), bool):
-                raise SettingsError(f"{name} must be True or False, found {getattr(self, name)!r}")
-        if self.prop is not None and self.prop not in tuple(PROPS):
-            raise UnknownNameError("prop", str(self.prop), PROPS)
-        if self.welded and not (self.grippers and self.prop == "bar"):
-            raise SettingsError(
-                f"welded=True with grippers={self.grippers} and prop={self.prop!r}: only grippers that hold the bar "
-                "can be welded, so set grippers=True and prop='bar'"
-            )
+        if not isinstance(self.grippers, bool):
+            raise SettingsError(f"grippers must be True or False, found {self.grippers!r}")
+        object.__setattr__(self, "props", check_props(self.props))
+        object.__setattr__(self, "welds", tuple((str(a), str(b)) for a, b in self.welds))
+        names = {each.name for each in self.props}
+        for site, other in self.welds:
+            if not self.grippers or site not in [f"{arm}/tcp" for arm in ARMS] or other.split("/")[0] not in names:
+                raise SettingsError(
+                    f"welds has {site!r} with {other!r}, with grippers={self.grippers}: each is of a gripper's tool, "
+                    f"{' or '.join(f'{arm}/tcp' for arm in ARMS)}, and a site of a prop, such as bar/left_grip; the "
+                    f"props are {', '.join(sorted(names)) or 'none'}"
+                )
+        cameras = [each.name if isinstance(each, Camera) else None for each in self.cameras]
+        if None in cameras or len(set(cameras)) < len(cameras):
+            raise SettingsError(f"cameras is {self.cameras!r:.120}: each must be a Camera with a name of its own")
+        object.__setattr__(self, "cameras", tuple(self.cameras))
         (force,) = finite_floats("grip_force_n", (self.grip_force_n,), 1)
         if not GRIP_FORCE_N[0] <= force <= GRIP_FORCE_N[1]:
             raise SettingsError(
                 f"grip_force_n is {force:.6g}: must be within {GRIP_FORCE_N[0]:.0f} to {GRIP_FORCE_N[1]:.0f} N"
             )
         object.__setattr__(self, "grip_force_n", force)
+
+    @property
+    def welded(self) -> bool:
+        """True if grippers are welded to a prop."""
+        return bool(self.welds)
 
 
 def stability_number(gains: str, timestep_s: float, mass_scale: float = 1.0, *, robots: Collection[str]) -> float:
@@ -208,7 +219,7 @@ class SceneSettings:
         meshes: Render the meshes of the optional package `example-robot-data` in place of primitives. Visual only.
         table_center_m: (2,) x, y of the table's centre; its top is at z = 0.
         table_size_m: (2,) length along x and width along y.
-        equipment: Grippers, and the object to handle.
+        equipment: Grippers, and the props to handle.
         obstacles: Further bodies: [obstacles][dual_ur10.assets.obstacles], with different names.
 
     Raises:

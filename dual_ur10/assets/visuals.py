@@ -13,31 +13,33 @@ from typing import Any, Final
 import numpy as np
 
 from dual_ur10.assets.gripper import FINGERTIP_M, PAD_LENGTH_M, PAD_THICK_M, PAD_WIDTH_M, PALM_LENGTH_M, TCP_M
-from dual_ur10.assets.props import BAR_LENGTH_M, BAR_WIDTH_M, BLOCK_SIZE_M, GRIP_DISTANCE_M
+from dual_ur10.assets.prop import Camera
 from dual_ur10.assets.settings import TABLE_THICKNESS_M, SceneSettings
 from dual_ur10.errors import MissingExtraError
 from dual_ur10.kinematics.frames import FLOOR_Z_M
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.types import Vector3
 
-_CAMERAS: Final[dict[str, tuple[Vector3, Vector3]]] = {
-    "front": ((1.8, 0.0, 1.0), (-0.4, 0.0, 0.3)),
-    "side": ((-0.1, -2.6, 0.9), (-0.25, 0.0, 0.3)),
-    "overhead": ((-0.25, 0.0, 3.2), (-0.2, 0.0, 0.0)),
-    "perspective": ((1.4, -1.7, 1.35), (-0.35, 0.0, 0.25)),
-}  # position and target
+FIXED_CAMERAS: Final = (
+    Camera("front", (1.8, 0.0, 1.0), (-0.4, 0.0, 0.3)),
+    Camera("side", (-0.1, -2.6, 0.9), (-0.25, 0.0, 0.3)),
+    Camera("overhead", (-0.25, 0.0, 3.2), (-0.2, 0.0, 0.0)),
+    Camera("perspective", (1.4, -1.7, 1.35), (-0.35, 0.0, 0.25)),
+)
+"""Cameras of every scene; each shows both arms."""
 
-CAMERAS: Final = tuple(_CAMERAS)
-"""Names of the fixed cameras; each shows both arms."""
+CAMERAS: Final = tuple(each.name for each in FIXED_CAMERAS)
+"""Their names."""
 
 
 def cameras(settings: SceneSettings) -> tuple[str, ...]:
-    """Return the names of all cameras: the fixed ones and, with grippers, `left/wrist` and `right/wrist`."""
-    return (*CAMERAS, *(f"{arm}/wrist" for arm in ARMS)) if settings.equipment.grippers else CAMERAS
+    """Return the names of all cameras: fixed ones, with grippers `left/wrist` and `right/wrist`, and the scene's."""
+    wrists = tuple(f"{arm}/wrist" for arm in ARMS) if settings.equipment.grippers else ()
+    return (*CAMERAS, *wrists, *(each.name for each in settings.equipment.cameras))
 
 
 def add_surroundings(spec: Any, settings: SceneSettings) -> None:
-    """Add materials, also those of the prop, sky, lights, cameras, table legs and pedestals."""
+    """Add materials, sky, lights, cameras, table legs and pedestals."""
     spec.stat.center = (-0.2, 0.0, 0.25)
     spec.stat.extent = 1.6
     spec.visual.global_.offwidth = 1920
@@ -48,9 +50,6 @@ def add_surroundings(spec: Any, settings: SceneSettings) -> None:
     spec.visual.quality.shadowsize = 4096
     spec.visual.map.znear = 0.02
     _add_materials(spec)
-    if settings.equipment.prop:
-        for name, (rgba, specular, shininess) in _PROP_MATERIALS.items():
-            spec.add_material(name=name, rgba=rgba, specular=specular, shininess=shininess)
     for position, strength, shadow in (((0.6, 0.9, 3.5), 0.5, True), ((-1.0, -2.5, 3.0), 0.3, False)):
         spec.worldbody.add_light(
             pos=position,
@@ -61,8 +60,9 @@ def add_surroundings(spec: Any, settings: SceneSettings) -> None:
             specular=(0.2,) * 3,
             castshadow=shadow,
         )
-    for name, (position, target) in _CAMERAS.items():
-        spec.worldbody.add_camera(name=name, pos=position, xyaxes=_camera_axes(position, target), fovy=45)
+    for each in (*FIXED_CAMERAS, *settings.equipment.cameras):
+        axes = _camera_axes(each.position_m, each.target_m)
+        spec.worldbody.add_camera(name=each.name, pos=each.position_m, xyaxes=axes, fovy=each.fovy_deg)
     _add_furniture(spec, settings)
 
 
@@ -249,82 +249,6 @@ def _draw_finger(pen: _Pen) -> None:
     for k in range(1, 6):
         z = low + k * PAD_LENGTH_M / 6
         pen.box((-half - 0.0002, -0.0001, z - 0.0005), (half + 0.0002, 0.0012, z + 0.0005), "groove")
-
-
-_PROP_MATERIALS: Final = {
-    "metal": ((0.70, 0.72, 0.75, 1), 0.7, 0.7),
-    "dark": ((0.16, 0.17, 0.19, 1), 0.3, 0.3),
-    "grip_zone": ((0.93, 0.58, 0.16, 1), 0.2, 0.3),
-    "front_half": ((0.93, 0.58, 0.16, 1), 0.3, 0.4),
-    "back_half": ((0.14, 0.47, 0.60, 1), 0.3, 0.4),
-    "front_target": ((0.84, 0.60, 0.30, 1), 0.0, 0.0),
-    "back_target": ((0.34, 0.52, 0.57, 1), 0.0, 0.0),
-    "outline": ((0.96, 0.96, 0.94, 1), 0.0, 0.0),
-}  # colour, specular, shininess
-
-_SKIN_M: Final = 0.0003  # thickness of painted marks
-
-
-def draw_prop(spec: Any, prop: str) -> None:
-    """Add the visuals of the prop to a cell's spec."""
-    if prop == "bar":
-        _draw_bar(spec.body("bar"))
-    else:
-        _draw_block(spec.body("block"))
-        _draw_target(spec.body("target"))
-
-
-def _add_box(body: Any, low: tuple[float, ...], high: tuple[float, ...], material: str) -> None:
-    import mujoco
-
-    body.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        pos=np.add(low, high) / 2,
-        size=np.subtract(high, low) / 2,
-        material=material,
-        group=2,
-        contype=0,
-        conaffinity=0,
-    )
-
-
-def _draw_bar(bar: Any) -> None:
-    half, end = BAR_WIDTH_M / 2, BAR_LENGTH_M / 2
-    _add_box(bar, (-half, -end + 0.008, -half), (half, end - 0.008, half), "metal")
-    for side in (-1, 1):
-        y = side * (end - 0.004)
-        _add_box(bar, (-half, y - 0.004, -half), (half, y + 0.004, half), "dark")
-        y, skin = side * GRIP_DISTANCE_M / 2, half + _SKIN_M
-        _add_box(bar, (-skin, y - 0.03, -skin), (skin, y + 0.03, skin), "grip_zone")
-        for edge in (-0.031, 0.031):
-            _add_box(bar, (-skin, y + edge - 0.002, -skin), (skin, y + edge + 0.002, skin), "dark")
-    # The slots of a profile, between the grips.
-    _add_box(bar, (-half - _SKIN_M, -0.44, -0.004), (half + _SKIN_M, 0.44, 0.004), "dark")
-    _add_box(bar, (-0.004, -0.44, -half - _SKIN_M), (0.004, 0.44, half + _SKIN_M), "dark")
-
-
-def _draw_block(block: Any) -> None:
-    x, y, z = np.array(BLOCK_SIZE_M) / 2
-    _add_box(block, (0.002, -y, -z), (x, y, z), "front_half")
-    _add_box(block, (-x, -y, -z), (-0.002, y, z), "back_half")
-    _add_box(block, (-0.002, -y + 0.0008, -z + 0.0008), (0.002, y - 0.0008, z - 0.0008), "dark")
-    for end in (-1, 1):
-        a, b = sorted((end * (x - 0.012), end * (x - 0.009)))
-        _add_box(block, (a, -y - _SKIN_M, -z - _SKIN_M), (b, y + _SKIN_M, z + _SKIN_M), "outline")
-
-
-def _draw_target(target: Any) -> None:
-    """Add a plate on the table below the target pose, its halves coloured like the block's."""
-    x, y, z = np.array(BLOCK_SIZE_M) / 2
-    low, high = -z, -z + 0.0015
-    _add_box(target, (0, -y, low), (x, y, high), "front_target")
-    _add_box(target, (-x, -y, low), (0, y, high), "back_target")
-    edge = 0.004
-    for side in (-1, 1):
-        a, b = sorted((side * y, side * (y + edge)))
-        _add_box(target, (-x - edge, a, low), (x + edge, b, high + 0.0004), "outline")
-        a, b = sorted((side * x, side * (x + edge)))
-        _add_box(target, (a, -y, low), (b, y, high + 0.0004), "outline")
 
 
 # Frames of the mesh files in the body frames of ur10.xml: position in m, quaternion w, x, y, z.

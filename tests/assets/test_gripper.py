@@ -8,6 +8,7 @@ import pytest
 
 from dual_ur10.assets.cell_spec import actuator_names, joint_names
 from dual_ur10.assets.gripper import FINGERTIP_M, FORCE_N, MASS_KG, OPENING_M, SPEED_M_S, TCP_M
+from dual_ur10.assets.props import BLOCK
 from dual_ur10.assets.scene import build_model, sensor_slices
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.assets.visuals import CAMERAS, cameras
@@ -38,7 +39,7 @@ def with_timestep(timestep_s, force_n=60.0):
 
 
 def test_order_of_joints_actuators_and_sensors():
-    for settings, props in ((GRIPPERS, ()), (SceneSettings(equipment=Equipment(True, "block")), ("block",))):
+    for settings, props in ((GRIPPERS, ()), (SceneSettings(equipment=Equipment(True, (BLOCK,))), ("block/free",))):
         model = build_model(settings)
         joints = [f"{arm}/{joint}" for arm in ARMS for joint in (*JOINTS, "finger_1_joint", "finger_2_joint")]
         assert [model.joint(i).name for i in range(model.njnt)] == [*joints, *props]
@@ -115,18 +116,18 @@ def test_fingers_do_not_sag():
 
 @pytest.mark.parametrize("force_n", [20.0, 60.0, 235.0])
 def test_pads_press_with_the_force_set(force_n):
-    settings = SceneSettings(equipment=Equipment(True, "block", grip_force_n=force_n))
+    settings = SceneSettings(equipment=Equipment(True, (BLOCK,), grip_force_n=force_n))
     model, data = at(settings)
     data.qpos[16:19] = data.site("left/tcp").xpos  # in the air between the pads
     data.ctrl[6] = 0.0
-    model.body_gravcomp[model.body("block").id] = 1.0
+    model.body_gravcomp[model.body("block/block").id] = 1.0
     run(model, data, 0.5)
     assert data.actuator_force[6] == -force_n
     pressing, force = dict.fromkeys(("left/pad_1", "left/pad_2"), 0.0), np.zeros(6)
     for i, contact in enumerate(data.contact):
         mujoco.mj_contactForce(model, data, i, force)
         names = {model.geom(contact.geom1).name, model.geom(contact.geom2).name}
-        (pad,) = names - {"block"}
+        (pad,) = names - {"block/block"}
         pressing[pad] += force[0]
     assert list(pressing.values()) == pytest.approx([force_n, force_n], rel=1e-3)
 

@@ -18,7 +18,7 @@ from dual_ur10.assets.collision_model import (
     compose_collision_model,
 )
 from dual_ur10.assets.obstacles import Box, Capsule, Obstacle, Plane, geom_name
-from dual_ur10.assets.props import BLOCK_SIZE_M
+from dual_ur10.assets.props import BLOCK, BLOCK_SIZE_M
 from dual_ur10.assets.scene import build_model, compose
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.errors import CollisionAtStartError, SettingsError
@@ -178,7 +178,7 @@ def test_every_contact_with_an_obstacle_is_a_measured_pair() -> None:
 def test_props_rest_on_obstacles(obstacle: Obstacle | None) -> None:
     obstacles = () if obstacle is None else (obstacle,)
     far = ArmMount((-2.0, 1.0, 0.5)), ArmMount((-2.0, -1.0, 0.5))
-    settings = SceneSettings(*far, equipment=Equipment(prop="block"), obstacles=obstacles)
+    settings = SceneSettings(*far, equipment=Equipment(props=(BLOCK,)), obstacles=obstacles)
     model = build_model(settings, visuals=False)
     data = mujoco.MjData(model)
     data.qpos[:12] = data.ctrl[:12] = HOME_Q_RAD.ravel()
@@ -186,7 +186,7 @@ def test_props_rest_on_obstacles(obstacle: Obstacle | None) -> None:
     for _ in range(400):
         mujoco.mj_step(model, data)
     top = 0.0 if obstacle is None else 0.2
-    assert data.body("block").xpos[2] == pytest.approx(top + BLOCK_SIZE_M[2] / 2, abs=0.002)
+    assert data.body("block/block").xpos[2] == pytest.approx(top + BLOCK_SIZE_M[2] / 2, abs=0.002)
 
 
 def test_an_arm_is_stopped_by_a_wall() -> None:

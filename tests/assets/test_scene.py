@@ -11,6 +11,8 @@ import pytest
 
 from dual_ur10.assets.collision_model import build_collision_model, compose_collision_model
 from dual_ur10.assets.obstacles import Box, Capsule, Plane
+from dual_ur10.assets.prop import Camera
+from dual_ur10.assets.props import BAR, BAR_WELDS, BLOCK, TARGET
 from dual_ur10.assets.scene import build_model, compose, sensor_slices
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings, default_mount
 from dual_ur10.errors import MissingExtraError, SettingsError, UnknownNameError
@@ -72,11 +74,12 @@ def test_import_is_light_and_quiet():
         (lambda: SceneSettings(gains=[20000.0]), UnknownNameError, "stiff"),
         (lambda: SceneSettings(table_size_m=(0.0, 1.0)), SettingsError, "table"),
         (lambda: SceneSettings(equipment=None), SettingsError, "Equipment"),
-        (lambda: Equipment(prop="ball"), UnknownNameError, "'bar', 'block'"),
-        (lambda: Equipment(prop=["bar"]), UnknownNameError, "'bar', 'block'"),
+        (lambda: Equipment(props="ball"), SettingsError, "must be a tuple of Prop"),
+        (lambda: Equipment(props=(BAR, BAR)), SettingsError, "two props have the name 'bar'"),
         (lambda: Equipment(grippers="yes"), SettingsError, "grippers must be True or False, found 'yes'"),
-        (lambda: Equipment(grippers=True, prop="block", welded=True), SettingsError, "prop='block'"),
-        (lambda: Equipment(prop="bar", welded=True), SettingsError, "grippers=False"),
+        (lambda: Equipment(grippers=True, props=(BLOCK,), welds=BAR_WELDS), SettingsError, "the props are block"),
+        (lambda: Equipment(props=(BAR,), welds=BAR_WELDS), SettingsError, "grippers=False"),
+        (lambda: Equipment(cameras=(Camera("a", (0, 0, 1), (0, 0, 0)),) * 2), SettingsError, "a name of its own"),
         (lambda: Equipment(grip_force_n=19.9), SettingsError, "19.9: must be within 20 to 235 N"),
         (lambda: Equipment(grip_force_n=236), SettingsError, "236: must be within 20 to 235 N"),
         (lambda: Equipment(grip_force_n=np.nan), SettingsError, "finite"),
@@ -116,7 +119,7 @@ def equipped(**keywords):
 
 
 def test_equal_equipment_hashes_alike():
-    assert equipped(prop="bar", grip_force_n=60) == equipped(prop="bar", grip_force_n=np.float64(60.0))
+    assert equipped(props=(BAR,), grip_force_n=60) == equipped(props=(BAR,), grip_force_n=np.float64(60.0))
     assert hash(equipped(grip_force_n=60)) == hash(equipped(grip_force_n=np.float32(60.0)))
     assert hash(Equipment(grip_force_n=np.array(60))) == hash(Equipment())
     assert SceneSettings() == SceneSettings(equipment=Equipment())
@@ -132,10 +135,10 @@ CELLS = {
     "default": SceneSettings(),
     "unequal": UNEQUAL,
     "grippers": dataclasses.replace(UNEQUAL, equipment=Equipment(grippers=True)),
-    "bar": equipped(prop="bar"),
-    "block": equipped(prop="block"),
-    "welded": equipped(prop="bar", welded=True),
-    "bar alone": SceneSettings(equipment=Equipment(prop="bar")),
+    "bar": equipped(props=(BAR,)),
+    "block": equipped(props=(BLOCK, TARGET)),
+    "welded": equipped(props=(BAR,), welds=BAR_WELDS),
+    "bar alone": SceneSettings(equipment=Equipment(props=(BAR,))),
     "obstacles": dataclasses.replace(
         equipped(),
         obstacles=(

@@ -10,6 +10,7 @@ import pytest
 
 from dual_ur10.assets.collision_model import CLEARANCE_CUTOFF_M, build_collision_model
 from dual_ur10.assets.obstacles import Box, Capsule, Plane
+from dual_ur10.assets.props import BAR, BLOCK
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance
@@ -39,10 +40,10 @@ PLANES = (
 GRIPPERS = Equipment(grippers=True)
 SCENES = {
     "bare": SceneSettings(),
-    "calibrated arms with a bar": dataclasses.replace(UNEQUAL, equipment=Equipment(grippers=True, prop="bar")),
+    "calibrated arms with a bar": dataclasses.replace(UNEQUAL, equipment=Equipment(grippers=True, props=(BAR,))),
     "grippers among boxes": dataclasses.replace(UNEQUAL, equipment=GRIPPERS, obstacles=BOXES),
     "a block among round and flat things": SceneSettings(
-        equipment=Equipment(grippers=True, prop="block"), obstacles=(*ROUND, *PLANES)
+        equipment=Equipment(grippers=True, props=(BLOCK,)), obstacles=(*ROUND, *PLANES)
     ),
 }
 

@@ -234,7 +234,7 @@ class Core:
         if self._hook is not None:
             self._hook.resetting(rngs, seed)
         start = self.task.start(rows, rngs)
-        sampled = {} if self._randomization.is_none else self._randomization.sample(rngs)
+        sampled = {} if self._randomization.is_none else self._randomization.sample(rngs, len(self._sensing.tracked))
         seeds = [int(rng.integers(2**31)) for rng in rngs]
         self._clearance.check_start(start.q_rad)
         self.pipeline.reset(start.q_rad, rows, start.gripper_m)

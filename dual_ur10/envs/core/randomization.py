@@ -110,23 +110,34 @@ class Randomization:
         }
         return tuple(name for name, value in by_name.items() if value)
 
-    def spread(self, settings: Any, given: Mapping[str, Any]) -> Any:
-        """Return a task's settings with wider ranges of the object's initial pose, unless the user gave them."""
+    def spread(self, settings: Any, given: Mapping[str, Any], ranges: Sequence[str]) -> Any:
+        """Return a task's settings with wider ranges of objects' initial poses.
+
+        Args:
+            settings: Settings of the task.
+            given: Keywords that the user gave, which stay.
+            ranges: Names of the settings that are ranges; see `Task.ranges`.
+        """
         own = {each.name for each in dataclasses.fields(settings)}
-        names = [name for name in ("object_range_m", "object_turn_rad") if name in own and name not in given]
+        names = [name for name in ranges if name in own and name not in given]
         if self.object_spread == 1.0 or not names:
             return settings
         return dataclasses.replace(settings, **{name: self.object_spread * getattr(settings, name) for name in names})
 
-    def sample(self, rngs: Sequence[np.random.Generator]) -> dict[str, Array]:
+    def sample(self, rngs: Sequence[np.random.Generator], objects: int = 1) -> dict[str, Array]:
         """Sample the values of one episode for each generator, (len(rngs), ...) by name.
+
+        Args:
+            rngs: A generator for each cell that begins an episode.
+            objects: Number of objects whose poses are measured.
+
 
         Values of `dual_ur10.sim2real.config.perturbation.Perturbation` have its names, and are factors or differences
         on top of the cell's own. The others are for `dual_ur10.envs.core.sensing.Sensing`.
         """
         # The stream advances equally, whichever numbers are used.
         unit = np.array([rng.uniform(-1.0, 1.0, 40) for rng in rngs])
-        normal = np.array([rng.standard_normal(6) for rng in rngs])
+        normal = np.array([rng.standard_normal(6 * max(1, objects)) for rng in rngs]).reshape(len(rngs), -1, 2, 3)
         up = (unit + 1.0) / 2
         both = np.s_[:, :2]
         latency = self.latency_s * up[:, :1] + self.skew_s * up[:, 1:3]
@@ -142,8 +153,8 @@ class Randomization:
             "object_mass_scale": 1.0 + self.object_mass * unit[:, 26],
             "grip_friction_scale": 1.0 + self.grip_friction * unit[:, 27:29],
             "observation_delay_s": self.observation_delay_s * up[:, 29],
-            "object_offset_m": self.object_noise_m * normal[:, :3],
-            "object_offset_rad": self.object_noise_rad * normal[:, 3:],
+            "object_offset_m": self.object_noise_m * normal[:, :, 0],
+            "object_offset_rad": self.object_noise_rad * normal[:, :, 1],
         }
 
 

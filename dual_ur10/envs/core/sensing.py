@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dual_ur10.envs.core.randomization import Randomization
 from dual_ur10.kinematics.frames import Frames
+from dual_ur10.kinematics.poses import Poses
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply
 from dual_ur10.sim2real.config.cell import CellConfig, CellState
 from dual_ur10.types import Array, Rows
 
-_AGING = ("q_rad", "qd_rad_s", "flange_base_m", "flange_m", "gripper_m", "wrench", "object_m")
-_TURNING = ("flange_base_quat", "flange_quat", "object_quat")
+_AGING = ("q_rad", "qd_rad_s", "flange_base_m", "flange_m", "gripper_m", "wrench")
+_TURNING = ("flange_base_quat", "flange_quat")
 
 
 class Sensing:
@@ -27,6 +29,7 @@ class Sensing:
         n: Number of cells.
 
     Attributes:
+        tracked: Names of the props whose poses are measured.
         is_exact: True if the measured state is the true one.
         keeps_poses: True if poses and gripper widths are measured without error; joints and wrenches may have noise.
     """
@@ -50,8 +53,10 @@ class Sensing:
         self.is_exact = not (self._noisy or self._offset or self._moved or self._late)
         self.keeps_poses = not (self._offset or self._moved or self._late)
         self._rngs = [np.random.default_rng(0) for _ in range(n)]
-        self._shift: Array = np.zeros((n, 3))
-        self._turn: Array = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
+        self.tracked = tracked(config)
+        self._noises = [each.noise for each in config.equipment.props if each.name in self.tracked]
+        self._shift: Array = np.zeros((n, len(self.tracked), 3))
+        self._turn: Array = np.tile([1.0, 0.0, 0.0, 0.0], (n, len(self.tracked), 1))
         self._age: Array = np.zeros(n)
         self._noise: Array = np.zeros((n, 36))
         self._before: CellState | None = None
@@ -68,15 +73,15 @@ class Sensing:
         for row, seed in zip(rows.tolist(), seeds, strict=True):
             self._rngs[row] = np.random.default_rng(seed)
         if sampled:
-            self._shift[rows] = sampled["object_offset_m"]
-            self._turn[rows] = quat_from_rotvec(sampled["object_offset_rad"])
+            for k, noise in enumerate(self._noises):
+                self._shift[rows, k] = noise * sampled["object_offset_m"][:, k]
+                self._turn[rows, k] = quat_from_rotvec(noise * sampled["object_offset_rad"][:, k])
             self._age[rows] = np.minimum(sampled["observation_delay_s"] / self._period_s, 1.0)
         if self._late:
             fresh = _copy(state)
             if self._before is not None:
-                for old, new in zip(self._before, fresh, strict=True):
-                    if old is not None and new is not None:
-                        old[rows] = new[rows]
+                for old, new in zip(_arrays(self._before), _arrays(fresh), strict=True):
+                    old[rows] = new[rows]
             else:
                 self._before = fresh
         if self._noisy:
@@ -105,25 +110,31 @@ class Sensing:
             measured = measured._replace(flange_m=self._frames.position_to_cell(measured.flange_base_m))
             if measured.flange_quat is not None:
                 measured = measured._replace(flange_quat=self._frames.quat_to_cell(measured.flange_base_quat))
-        if self._offset and measured.object_m is not None and measured.object_quat is not None:
-            turned = quat_multiply(self._turn[:, None], measured.object_quat[:, None])[:, 0]
-            measured = measured._replace(object_m=measured.object_m + self._shift, object_quat=turned)
+        if self._offset and self.tracked:
+            objects = dict(measured.objects)
+            for k, name in enumerate(self.tracked):
+                position_m, quat = objects[name]
+                turned = quat_multiply(self._turn[:, k, None], quat[:, None])[:, 0]
+                objects[name] = Poses(position_m + self._shift[:, k], turned)
+            measured = measured._replace(objects=objects)
         return self._with_noise(measured) if self._noisy else measured
 
     def _aged(self, state: CellState, before: CellState) -> CellState:
-        changed = {}
+        changed: dict[str, Any] = {}
         for name in (*_AGING, *_TURNING):
             old, new = getattr(before, name), getattr(state, name)
             if old is None or new is None:
                 continue
             age = self._age.reshape(-1, *[1] * (new.ndim - 1))
-            if name in _TURNING:
-                old = old * np.copysign(1.0, np.add.reduce(old * new, axis=-1, keepdims=True))
-                mixed = new + age * (old - new)
-                changed[name] = mixed / np.sqrt(np.add.reduce(mixed * mixed, axis=-1, keepdims=True))
-            else:
-                changed[name] = new + age * (old - new)
-        return state._replace(**changed)
+            changed[name] = _turned(new, old, age) if name in _TURNING else new + age * (old - new)
+        age = self._age[:, None]
+        objects = dict(state.objects)
+        for name in self.tracked:
+            old, new = before.objects[name], state.objects[name]
+            position_m = new.position_m + age * (old.position_m - new.position_m)
+            objects[name] = Poses(position_m, _turned(new.quat, old.quat, age))
+        joints = {name: new + self._age * (before.joints[name] - new) for name, new in state.joints.items()}
+        return state._replace(**changed, objects=objects, joints=joints)
 
     def _with_noise(self, state: CellState) -> CellState:
         noise = self._noise * self._sigma
@@ -138,6 +149,30 @@ class Sensing:
         return state._replace(wrench=wrench)
 
 
+def tracked(config: CellConfig) -> tuple[str, ...]:
+    """Return the names of the props whose poses are measured."""
+    return tuple(each.name for each in config.equipment.props if each.posed and each.tracked)
+
+
+def _turned(new: Array, old: Array, age: Array) -> Array:
+    """Return orientations between new and old ones."""
+    old = old * np.copysign(1.0, np.add.reduce(old * new, axis=-1, keepdims=True))
+    mixed = new + age * (old - new)
+    result: Array = mixed / np.sqrt(np.add.reduce(mixed * mixed, axis=-1, keepdims=True))
+    return result
+
+
+def _arrays(state: CellState) -> Iterator[NDArray[Any]]:
+    """Yield all arrays of a state."""
+    yield from (each for each in state if isinstance(each, np.ndarray))
+    for pose in state.objects.values():
+        yield from pose
+    yield from state.joints.values()
+
+
 def _copy(state: CellState) -> CellState:
-    values: Any = (None if each is None else each.copy() for each in state)
-    return CellState(*values)
+    values: Any = (each.copy() if isinstance(each, np.ndarray) else each for each in state)
+    return CellState(*values)._replace(
+        objects={name: Poses(*(each.copy() for each in pose)) for name, pose in state.objects.items()},
+        joints={name: each.copy() for name, each in state.joints.items()},
+    )

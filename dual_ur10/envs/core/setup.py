@@ -91,7 +91,7 @@ class EnvSetup:
             raise UnknownKeywordError.of(env_id, str(unknown[0]), [*known, *OPTION_NAMES])
         own = {name: value for name, value in own.items() if name in known}
         randomization = resolve_randomization(options.randomization)
-        settings = randomization.spread(task_type.settings_type(**own), own)
+        settings = randomization.spread(task_type.settings_type(**own), own, task_type.ranges)
         requirements = task_type.requirements(settings)
         config = _cell_of(options).equipped(requirements.equipment, requirements.timestep_s, requirements.gains)
         tick_s, latency_ticks = config.servoj.tick_s, options.latency_ticks(config)

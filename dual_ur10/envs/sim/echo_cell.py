@@ -21,7 +21,7 @@ class EchoCell:
     """One cell that is always where the servoj law, fed with its targets, puts the arms.
 
     Targets pass the same adapter and safety gate as everywhere. Nothing is measured: tracking errors, contact, and
-    whatever else an arm would show are absent.
+    whatever else an arm would show are absent. Objects stay where an episode begins, also those that were grasped.
 
     Args:
         config: The cell, with a task's equipment.
@@ -30,7 +30,7 @@ class EchoCell:
         latency_ticks: L: delay of commands in ticks.
 
     Raises:
-        SettingsError: There are several cells, a perturbation, or an object, which nothing would move.
+        SettingsError: There are several cells, or a perturbation.
     """
 
     n = 1
@@ -40,11 +40,6 @@ class EchoCell:
             raise SettingsError(f"{n} environments on a dry run: it echoes the commands of one cell. Use one")
         if config.perturbation != Perturbation():
             raise SettingsError("a perturbation is for simulated cells: a dry run has no plant. Leave it out")
-        if config.equipment.prop:
-            raise SettingsError(
-                f"this task handles a {config.equipment.prop}, and nothing moves objects in a dry run: use the "
-                'simulation, cell="mujoco"'
-            )
         self.config, self.ticks = config, ticks
         self._queue = CommandQueue(1, latency_ticks)
         self._reference = ServojReference(config.servoj, 1, 1, ticks, config.speed_factor)
@@ -67,8 +62,7 @@ class EchoCell:
         self._queue.reset(q, row, start.gripper_m)
         self._reference.reset(q, row)
         self._gripper_m, self._elapsed = None if start.gripper_m is None else np.asarray(start.gripper_m)[0], 0
-        pose = None if start.target_pose is None else np.asarray(start.target_pose).reshape(7)
-        mirror.aim(None if pose is None else (pose[:3], pose[3:]))
+        mirror.start(start)
         return CellStep(self._state(mirror, q[0], np.zeros((2, 6))))
 
     def advance(self, command: Command) -> CellStep:

@@ -1,19 +1,22 @@
-"""Grippers, object and target in a batch of MuJoCo models: poses, wrenches, and the grippers' controllers."""
+"""Grippers and props in a batch of MuJoCo models: poses, wrenches, and the grippers' controllers."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.assets.gripper import OPENING_M, SPEED_M_S
+from dual_ur10.assets.prop import Prop
 from dual_ur10.assets.scene import sensor_slices
 from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.envs.sim.feedforward import GRAVITY_M_S2
-from dual_ur10.errors import ActionError
+from dual_ur10.errors import ActionError, UnknownNameError
 from dual_ur10.kernel import RowLoop, Struct
 from dual_ur10.kinematics.frames import to_base
+from dual_ur10.kinematics.poses import Poses
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import CellConfig, Start
 from dual_ur10.types import Array, Rows
@@ -93,19 +96,18 @@ class GripperServos:
 
 
 class Handled(NamedTuple):
-    """Last fields of `CellState`: grippers, object and target."""
+    """Fields of `CellState` with the grippers; None without any."""
 
-    flange_quat: Array
-    gripper_m: Array
-    wrench: Array
-    object_m: Array | None
-    object_quat: Array | None
-    target_m: Array | None
-    target_quat: Array | None
+    flange_quat: Array | None
+    gripper_m: Array | None
+    wrench: Array | None
+
+
+NOT_HANDLED: Final = Handled(None, None, None)
 
 
 class Handling:
-    """State of grippers, object and target of n cells.
+    """State of the grippers of n cells.
 
     Args:
         batch: A batch of models composed by `dual_ur10.assets.scene`.
@@ -117,10 +119,6 @@ class Handling:
         self.n, self._settings = n, settings
         qpos = batch.bind("qpos")
         self._fingers: Array = qpos[:, :16].reshape(n, 2, 8)[..., 6:]
-        self._object: Array | None = qpos[:, 16:23] if settings.equipment.prop else None
-        self._target: tuple[Array, Array] | None = None
-        if model.nmocap:
-            self._target = batch.bind("mocap_pos")[:, 0], batch.bind("mocap_quat")[:, 0]
         where = sensor_slices(model)
         sensors: Array = batch.bind("sensordata")
         first = where["left/wrench_force"].start
@@ -159,21 +157,12 @@ class Handling:
         return opening
 
     def reset(self, start: Start, rows: Rows) -> Array:
-        """Put fingers, object and target of `rows` at the start of an episode; return the widths, (len(rows), 2)."""
+        """Put the fingers of `rows` at the start of an episode; return the widths, (len(rows), 2)."""
         opening = np.full((len(rows), 2), _WELDED_M) if start.gripper_m is None else np.asarray(start.gripper_m)
         self._fingers[rows] = opening[..., None] / 2
         self._wrench = self._wrench.copy()  # that of the state before is the caller's
         self._wrench[rows] = 0.0
-        if self._object is not None and start.object_pose is not None:
-            self._object[rows] = start.object_pose
-        if self._target is not None and start.target_pose is not None:
-            self._target[0][rows], self._target[1][rows] = start.target_pose[:, :3], start.target_pose[:, 3:]
         return opening
-
-    def place(self, pose: Array) -> None:
-        """Put the object of every cell at a pose, (7,)."""
-        if self._object is not None:
-            self._object[:] = pose
 
     def feel(self) -> None:
         """Read the forces of the last physics step; call it before anything else is computed.
@@ -196,9 +185,57 @@ class Handling:
             if np.count_nonzero(failed):
                 wrench[failed] = self._wrench[failed]
             self._wrench = wrench
-        target = (None, None) if self._target is None else self._target
-        thing = (None, None) if self._object is None else (self._object[:, :3], self._object[:, 3:])
-        return Handled(self._orientations, self.opening_m, self._wrench, *thing, *target)
+        return Handled(self._orientations, self.opening_m, self._wrench)
+
+
+class Props:
+    """Poses and joints of the props of n cells.
+
+    Args:
+        batch: A batch of models composed by `dual_ur10.assets.scene`.
+        props: Props of its scene.
+
+    Attributes:
+        objects: Views of the poses by name.
+        joints: Views of the joints' positions by name.
+    """
+
+    def __init__(self, batch: Any, props: Sequence[Prop]) -> None:
+        model, qpos = batch.model, batch.bind("qpos")
+        self.objects: dict[str, Poses] = {}
+        self.joints: dict[str, Array] = {}
+        self._dofs: dict[str, slice] = {}
+        for prop in props:
+            if prop.free:
+                joint = model.joint(f"{prop.name}/free")
+                first, dof = int(joint.qposadr[0]), int(joint.dofadr[0])
+                self.objects[prop.name] = Poses(qpos[:, first : first + 3], qpos[:, first + 3 : first + 7])
+                self._dofs[prop.name] = slice(dof, dof + 6)
+            elif prop.placed:
+                row = int(model.body(prop.body).mocapid[0])
+                position_m, quat = batch.bind("mocap_pos"), batch.bind("mocap_quat")
+                self.objects[prop.name] = Poses(position_m[:, row], quat[:, row])
+            for name in prop.joints:
+                self.joints[name] = qpos[:, int(model.joint(f"{prop.name}/{name}").qposadr[0])]
+
+    def reset(self, start: Start, rows: Rows) -> None:
+        """Put the props of `rows` where an episode begins."""
+        for name, pose in start.objects.items():
+            self.objects[name].position_m[rows], self.objects[name].quat[rows] = pose[:, :3], pose[:, 3:]
+        for name, value in start.joints.items():
+            self.joints[name][rows] = value
+
+    def place(self, name: str, pose: Array, qvel: Array) -> None:
+        """Put a prop of every cell at a pose, (7,), at rest.
+
+        Raises:
+            UnknownNameError: There is no such prop, or nothing places it.
+        """
+        if name not in self.objects:
+            raise UnknownNameError("prop that can be placed", name, list(self.objects))
+        self.objects[name].position_m[:], self.objects[name].quat[:] = pose[:3], pose[3:]
+        if name in self._dofs:
+            qvel[:, self._dofs[name]] = 0.0
 
 
 def _weight(model: Any) -> tuple[float, Array]:

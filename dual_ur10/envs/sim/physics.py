@@ -1,4 +1,4 @@
-"""Physics of n cells: arms whose joint servos follow a wanted motion, grippers, and their object."""
+"""Physics of n cells: arms whose joint servos follow a wanted motion, grippers, and props."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ import numpy as np
 from dual_ur10.assets.scene import build_model
 from dual_ur10.assets.torque_control import TorqueControl, Torques
 from dual_ur10.envs.sim.feedforward import FeedForward
-from dual_ur10.envs.sim.handling import Handling
+from dual_ur10.envs.sim.handling import NOT_HANDLED, Handling, Props
 from dual_ur10.envs.sim.plant import Plant
 from dual_ur10.envs.sim.servo_reference import Motion
 from dual_ur10.errors import SettingsError
-from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
+from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start, check_start
 from dual_ur10.types import Array, Rows
 
 # Attributes that hold MuJoCo's memory: not pickled, and built anew.
 _LIVE = (
     *("_batch", "_flags", "_warnings", "_integration", "_arms_q", "_arms_qd", "_flange"),
-    *("_handling", "_plant", "_feedforward", "_rendered", "_torque"),
+    *("_handling", "_props", "_plant", "_feedforward", "_rendered", "_torque"),
 )
 
 
@@ -82,6 +82,7 @@ class Physics:
             sensors[:, start : start + 2 * size].reshape(n, 2, size) for start, size in ((0, 3), (6, 4), (14, 3))
         )
         self._handling = Handling(self._batch, scene) if scene.equipment.grippers else None
+        self._props = Props(self._batch, scene.equipment.props)
         dofs = np.concatenate([np.arange(6), joints + np.arange(6)])
         self._plant = Plant(self._batch, scene, dofs)
         self._feedforward = FeedForward(scene, n, self.steps, self.threads)
@@ -122,27 +123,30 @@ class Physics:
         self._feedforward.declare_payload(values["declared_payload_kg"])
 
     def reset(self, start: Start, rows: Rows) -> None:
-        """Put the arms of `rows`, and their object, at rest at the start of an episode."""
+        """Put the arms of `rows`, and the props, at rest at the start of an episode.
+
+        Raises:
+            UnknownNameError: The start names a prop or joint that the scene does not have.
+        """
+        check_start(start, self.config.equipment.props)
         self._batch.reset(ids=rows, stage=0)
         self._arms_q[rows] = np.asarray(start.q_rad, dtype=np.float64).reshape(-1, 2, 6)
         if self._handling is not None and self._grippers is not None:
             self._held_m[rows] = self._handling.reset(start, rows)
             self._grippers.reset(self._held_m[rows], rows)
+        self._props.reset(start, rows)
         self._forward(rows)
         self._payload[rows] = 0.0
         self._good = self._integration.copy()
         self.failed[rows] = False
 
-    def place(self, pose: Array) -> None:
-        """Put the object of every cell at a pose, (7,), at rest.
+    def place(self, name: str, pose: Array) -> None:
+        """Put a prop of every cell at a pose, (7,), at rest.
 
         Raises:
-            SettingsError: The cell has no object.
+            UnknownNameError: There is no such prop, or nothing places it.
         """
-        if self._handling is None or not self.config.scene.equipment.prop:
-            raise SettingsError("this cell has no object to place")
-        self._handling.place(pose)
-        self._batch.bind("qvel")[:, -6:] = 0.0
+        self._props.place(name, pose, self._batch.bind("qvel"))
         self._good = self._integration.copy()
         self._forward()
 
@@ -204,6 +208,7 @@ class Physics:
             moved: True after a step, which gives a force.
         """
         base_m, base_quat, flange_m = self._flange
+        handled = self._handling.state(base_quat, self.failed if moved else None) if self._handling else NOT_HANDLED
         return CellState(
             time_s,
             self._arms_q,
@@ -212,7 +217,9 @@ class Physics:
             base_quat,
             flange_m,
             self.failed,
-            *(self._handling.state(base_quat, self.failed if moved else None) if self._handling else ()),
+            *handled,
+            self._props.objects,
+            self._props.joints,
         )
 
     def model_and_data(self, row: int) -> tuple[Any, Any]:

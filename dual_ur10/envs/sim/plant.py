@@ -47,11 +47,15 @@ class Plant:
                     geom = model.geom(f"{name}/{pad}").id
                     friction[rows, geom] = model.geom_friction[geom] * values["grip_friction_scale"][rows, arm, None]
         constants = False
-        if self._settings.equipment.prop and self._differs("object", values, ("object_mass_scale",)):
-            body = model.body(self._settings.equipment.prop).id
-            scale = values["object_mass_scale"][rows]
-            batch.expand("body_mass")[rows, body] = model.body_mass[body] * scale
-            batch.expand("body_inertia")[rows, body] = model.body_inertia[body] * scale[:, None]
+        objects = [each for each in self._settings.equipment.props if each.free]
+        if objects and self._differs("object", values, ("object_mass_scale",)):
+            mass, inertia = batch.expand("body_mass"), batch.expand("body_inertia")
+            for prop in objects:
+                scale = values["object_mass_scale"][rows]
+                scale = scale if prop.mass == 1.0 else 1.0 + prop.mass * (scale - 1.0)
+                for body in _bodies_of(model, prop.name):
+                    mass[rows, body] = model.body_mass[body] * scale
+                    inertia[rows, body] = model.body_inertia[body] * scale[:, None]
             constants = True
         if self._differs("base", values, ("base_shift_m", "base_turn_rad")):
             position, quat = batch.expand("body_pos"), batch.expand("body_quat")
@@ -75,6 +79,11 @@ class Plant:
         if group not in self._own and any((values[name] != self._nominal[name]).any() for name in names):
             self._own.add(group)
         return group in self._own
+
+
+def _bodies_of(model: Any, prop: str) -> list[int]:
+    """Return the bodies of a prop."""
+    return [body for body in range(model.nbody) if model.body(body).name.startswith(f"{prop}/")]
 
 
 def _bases(model: Any) -> list[int]:

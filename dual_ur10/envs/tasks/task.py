@@ -6,7 +6,7 @@ import dataclasses
 import numbers
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Final, Generic, NamedTuple, TypeVar, cast
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar, cast
 
 import numpy as np
 
@@ -72,9 +72,6 @@ class SceneRequirements:
 SettingsT = TypeVar("SettingsT")
 MeasuredT = TypeVar("MeasuredT")
 
-_SAMPLED: Final = {"object_range_m", "object_turn_rad", "target_range_m", "target_turn_rad"}
-"""Settings of tasks that bound a pose, which every episode samples between minus and plus."""
-
 
 class Task(ABC, Generic[SettingsT, MeasuredT]):
     """Task for n cells. Its only input is `CellState`; it keeps the state of the running episodes.
@@ -86,6 +83,9 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
         stages: Names of the stages that `info["stage"]` counts, or empty; 0 is before the first stage.
         settings_type: Dataclass of the task's keywords.
         layout: Fields of an observation; those of an instance depend on its settings.
+        ranges: Names of those settings that bound the initial pose of an object, which every episode samples between
+            minus and plus, and which `Randomization.object_spread` widens.
+        sampled: Names of all settings that bound what every episode samples between minus and plus.
         horizon: Steps after which the time of an episode runs out; None: not known in advance.
 
     Args:
@@ -100,6 +100,8 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
     stages: ClassVar[tuple[str, ...]] = ()
     coupled: ClassVar[bool] = False
     settings_type: ClassVar[type[Any]]
+    ranges: ClassVar[tuple[str, ...]] = ("object_range_m", "object_turn_rad")
+    sampled: ClassVar[tuple[str, ...]] = (*ranges, "target_range_m", "target_turn_rad")
     layout: ObservationLayout
     horizon: int | None = None
 
@@ -121,7 +123,7 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
     @classmethod
     def covered(cls, trained: SettingsT, settings: SettingsT) -> frozenset[str]:
         """Return the keywords whose values lie within the range that a training with other settings sampled."""
-        names = _SAMPLED & {each.name for each in dataclasses.fields(cast(Any, settings))}
+        names = {*cls.sampled} & {each.name for each in dataclasses.fields(cast(Any, settings))}
         return frozenset(name for name in names if getattr(settings, name) <= getattr(trained, name))
 
     @classmethod

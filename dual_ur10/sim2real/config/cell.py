@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from dual_ur10.assets.collision_model import CLEARANCE_CUTOFF_M
 from dual_ur10.assets.obstacles import Obstacle
+from dual_ur10.assets.prop import Prop
 from dual_ur10.assets.settings import (
     INTEGRATORS,
     MOST_UNSTABLE,
@@ -28,6 +29,7 @@ from dual_ur10.assets.settings import (
 )
 from dual_ur10.errors import RateError, SettingsError, UnknownNameError
 from dual_ur10.kinematics.frames import ArmMount
+from dual_ur10.kinematics.poses import Poses
 from dual_ur10.kinematics.robots import MODEL_OF_FAMILY
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell_kinds import cell_kind
@@ -67,13 +69,12 @@ class CellState(NamedTuple):
         flange_m: (n, 2, 3) flange position in the cell frame.
         failed: (n,) true if the physics diverged; the other values of such a row are those of its last valid instant.
         flange_quat: (n, 2, 4) flange orientation in the cell frame, (w, x, y, z).
-        gripper_m: (n, 2) opening of each gripper; None without grippers, like all that follow.
+        gripper_m: (n, 2) opening of each gripper; None without grippers, like the wrench.
         wrench: (n, 2, 6) force (N) and torque about the flange (N·m) of the gripped object on each gripper, in the
             arm's `base` frame; the gripper's own weight is subtracted, as by a controller that knows its payload.
-        object_m: (n, 3) position of the object's centre in the cell frame.
-        object_quat: (n, 4) its orientation.
-        target_m: (n, 3) position of the target in the cell frame.
-        target_quat: (n, 4) its orientation.
+        objects: Poses of the props that move or are placed, by their names: position_m (n, 3) in the cell frame, and
+            quat (n, 4).
+        joints: Positions of the props' hinges (rad) and slides (m), (n,) each, by their names.
     """
 
     time_s: Array
@@ -86,10 +87,8 @@ class CellState(NamedTuple):
     flange_quat: Array | None = None
     gripper_m: Array | None = None
     wrench: Array | None = None
-    object_m: Array | None = None
-    object_quat: Array | None = None
-    target_m: Array | None = None
-    target_quat: Array | None = None
+    objects: Mapping[str, Poses] = MappingProxyType({})
+    joints: Mapping[str, Array] = MappingProxyType({})
 
 
 class Start(NamedTuple):
@@ -98,16 +97,31 @@ class Start(NamedTuple):
     Attributes:
         q_rad: (k, 2, 6) joint positions, at rest.
         gripper_m: (k, 2) opening of each gripper; None without grippers.
-        object_pose: (k, 7) position of the object in the cell frame and its orientation (w, x, y, z), or None.
-        target_pose: (k, 7) the same of the target, or None.
+        objects: Poses of props by their names, (k, 7) position in the cell frame and orientation (w, x, y, z) each.
+            One that is left out is where its MJCF has it.
+        joints: Positions of the props' joints by their names, (k,) each; one that is left out is as in the MJCF.
         sampled: Random values of the episode by name, (k, ...) each.
     """
 
     q_rad: Array
     gripper_m: Array | None = None
-    object_pose: Array | None = None
-    target_pose: Array | None = None
+    objects: Mapping[str, Array] = MappingProxyType({})
+    joints: Mapping[str, Array] = MappingProxyType({})
     sampled: Mapping[str, Array] = MappingProxyType({})
+
+
+def check_start(start: Start, props: Sequence[Prop]) -> None:
+    """Check that a start names props and joints of the scene only.
+
+    Raises:
+        UnknownNameError: It names another one.
+    """
+    posed = [each.name for each in props if each.posed]
+    joints = [joint for each in props for joint in each.joints]
+    for kind, found, allowed in (("prop that is placed", start.objects, posed), ("joint", start.joints, joints)):
+        for name in found:
+            if name not in allowed:
+                raise UnknownNameError(f"{kind}, in the start of an episode,", name, allowed)
 
 
 class TickTrace(NamedTuple):

@@ -28,6 +28,7 @@ from dual_ur10.sim2real.config.cell import CellConfig, HostedCell
 from dual_ur10.sim2real.config.cell_file_rules import inconsistencies
 from dual_ur10.sim2real.config.cell_file_tables import (
     MAX_OBSTACLES,
+    MAX_TRACKERS,
     ZERO,
     ArmEntry,
     ArmLimits,
@@ -90,7 +91,7 @@ class CellFile(Table):
     right: ArmEntry
     base_to_base: BaseToBase | None = None
     emulator: EmulatorEntry | None = None
-    tracker: Tracker | None = Field(None, description="source of the objects' poses")
+    tracker: tuple[Tracker, ...] = Field((), max_length=MAX_TRACKERS, description="source of an object's pose")
     obstacle: tuple[ObstacleEntry, ...] = Field((), max_length=MAX_OBSTACLES, description="shape of the obstacle")
 
     _source: str = PrivateAttr("the cell file")

@@ -30,7 +30,8 @@ EXAMPLES: Final = """\
 # a_m = [0.0, -0.612, -0.5723, 0.0, 0.0, 0.0]
 # theta_rad = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
 #
-# [tracker]  # source of the objects' poses
+# [[tracker]]  # source of an object's pose
+# prop = "block"
 # kind = "attached"
 # arm = "left"
 # position_m = [0.0, 0.0, 0.17]

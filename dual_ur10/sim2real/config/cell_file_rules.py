@@ -43,11 +43,15 @@ def inconsistencies(cell: CellFile) -> Iterator[str]:
         yield from _model(name, arm)
     if cell.emulator is not None and not emulated:
         yield 'emulator is in the file of a real cell: it is allowed with kind = "emulated" only. Take the table out'
-    if isinstance(cell.tracker, EmulatedTrackerEntry) and (not emulated or cell.emulator is None):
-        yield (
-            'tracker.kind is "emulated": only an emulated cell has such a camera, at the address in the table '
-            '[emulator]. Use "attached" or "given", or the file that `emulate --cell` writes'
-        )
+    for index, entry in enumerate(cell.tracker):
+        if isinstance(entry, EmulatedTrackerEntry) and (not emulated or cell.emulator is None):
+            yield (
+                f'tracker[{index}].kind is "emulated": only an emulated cell has such a camera, at the address in the '
+                'table [emulator]. Use "attached", "given" or "own", or the file that `emulate --cell` writes'
+            )
+    props = [each.prop for each in cell.tracker]
+    for prop in sorted({each for each in props if props.count(each) > 1}):
+        yield f"two trackers are of the prop {prop!r}: take one out"
     yield from _obstacles(cell)
 
 

@@ -10,6 +10,7 @@ Tables made by hand raise `pydantic.ValidationError`; reading and changing a cel
 from __future__ import annotations
 
 import ipaddress
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import replace
@@ -114,6 +115,22 @@ Day = Annotated[str, _text("a day such as 2026-01-31, in quotes", pattern=r"^\d{
 FileName = Annotated[str, _text("a file name of up to 200 characters, in quotes", pattern=r"^[^\x00-\x1f\x7f]{1,200}$")]
 Model = Annotated[str, AfterValidator(_checked_model), _text("one of " + ", ".join(f'"{each}"' for each in ROBOTS))]
 Task = Annotated[str, AfterValidator(_checked_id), _text("the id of an environment")]
+ClassName = Annotated[str, _text("module:Class, in quotes", pattern=r"^[A-Za-z_][\w.]{0,150}:[A-Za-z_]\w{0,40}$")]
+_OPTION: Final = "[a-z_]{1,30}=[!-~]{0,99}"
+Options = Annotated[
+    str, _text("NAME=VALUE, separated by spaces, in quotes", pattern=f"^(|{_OPTION}( {_OPTION}){{0,9}})$")
+]
+
+
+def _keywords(options: str) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for each in options.split():
+        name, _, text = each.partition("=")
+        try:
+            found[name] = json.loads(text)
+        except ValueError:
+            found[name] = text
+    return found
 
 
 class Table(BaseModel):
@@ -348,7 +365,11 @@ class EmulatorEntry(Table):
     pid: int | None = key("its process id", None, low=1, high=2**31 - 1, example=1234)
 
 
-class AttachedTrackerEntry(Table):
+class _TrackerEntry(Table):
+    prop: Name = key("name of the object in the task", example="block")
+
+
+class AttachedTrackerEntry(_TrackerEntry):
     """Object held by an arm."""
 
     kind: Literal["attached"] = "attached"
@@ -357,7 +378,7 @@ class AttachedTrackerEntry(Table):
     rotation_rad: Vector[Angle] = key("orientation of the object there, a rotation vector", ZERO)
 
 
-class GivenTrackerEntry(Table):
+class GivenTrackerEntry(_TrackerEntry):
     """Object at a fixed pose in the cell frame."""
 
     kind: Literal["given"] = "given"
@@ -365,7 +386,7 @@ class GivenTrackerEntry(Table):
     rotation_rad: Vector[Angle] = key("orientation of the object, a rotation vector", example=ZERO)
 
 
-class EmulatedTrackerEntry(Table):
+class EmulatedTrackerEntry(_TrackerEntry):
     """Camera of the emulated cell."""
 
     kind: Literal["emulated"] = "emulated"
@@ -374,7 +395,24 @@ class EmulatedTrackerEntry(Table):
     delay_s: float = key("age of a measured pose", 0.0, low=0, high=0.499)
 
 
-Tracker = Annotated[AttachedTrackerEntry | GivenTrackerEntry | EmulatedTrackerEntry, Field(discriminator="kind")]
+class OwnTrackerEntry(_TrackerEntry):
+    """Tracker of your own: a subclass of `ObjectTracker`, made with the name of the object and the options."""
+
+    kind: Literal["own"] = "own"
+    tracker: ClassName = key("class of the tracker", example="my_lab.camera:Camera")
+    options: Options = key("further arguments of the class", "")
+
+    @property
+    def keywords(self) -> dict[str, Any]:
+        """The options as keyword arguments: numbers and truth values as such, all others as text."""
+        return _keywords(self.options)
+
+
+MAX_TRACKERS: Final = 20
+
+Tracker = Annotated[
+    AttachedTrackerEntry | GivenTrackerEntry | EmulatedTrackerEntry | OwnTrackerEntry, Field(discriminator="kind")
+]
 
 
 _OBSTACLES: Final[dict[str, type[obstacles.Obstacle]]] = {

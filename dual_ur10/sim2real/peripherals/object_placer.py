@@ -1,4 +1,4 @@
-"""Placer of the object that a task handles, for cells in which a program can do that."""
+"""Placer of the objects that a task handles, for cells in which a program can do that."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dual_ur10.types import Closing
 
 
 class ObjectPlacer(Closing):
-    """Client that puts the object of a task at a pose, at rest.
+    """Client that puts objects of a task at poses, at rest.
 
     Args:
         link: Connection to the service; the placer closes it.
@@ -21,21 +21,26 @@ class ObjectPlacer(Closing):
     def __init__(self, link: JsonLink) -> None:
         self._link = link
 
-    def place(self, position_m: Sequence[float], quat: Sequence[float]) -> None:
-        """Put the object at a pose in the cell frame.
+    def place(self, name: str, position_m: Sequence[float], quat: Sequence[float]) -> None:
+        """Put an object at a pose in the cell frame.
 
         Args:
+            name: Name of the prop.
             position_m: (3,) of its centre.
             quat: (4,) its orientation (w, x, y, z).
 
         Raises:
             EmulatorError: There is no object, it cannot be put there, or there was no answer.
         """
-        pose = {"position_m": [float(each) for each in position_m], "quat": [float(each) for each in quat]}
+        pose = {
+            "prop": name,
+            "position_m": [float(each) for each in position_m],
+            "quat": [float(each) for each in quat],
+        }
         try:
             self._link.ask("place", **pose)
         except (LinkError, OperationRefusedError) as error:
-            raise EmulatorError(f"the object was not placed: {error}") from error
+            raise EmulatorError(f"the {name} was not placed: {error}") from error
 
     def close(self) -> None:
         """End the connection. May be called twice."""
@@ -43,7 +48,7 @@ class ObjectPlacer(Closing):
 
 
 def placer_of(cell_file: CellFile, system: System = LOCAL) -> ObjectPlacer | None:
-    """Return the placer that a cell file names, or None if a person places the object."""
+    """Return the placer that a cell file names, or None if a person places the objects."""
     entry = cell_file.emulator
     if entry is None:
         return None

@@ -1,22 +1,33 @@
-"""Trackers of the object that a task handles, as the cell file names them."""
+"""Trackers of the objects that a task handles, as the cell file names them."""
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import math
 import reprlib
 from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Annotated, Final, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from dual_ur10.errors import CellFileError, DualUR10Error, LinkError
+from dual_ur10.assets.prop import Prop
+from dual_ur10.errors import CellFileError, DualUR10Error, LinkError, SettingsError
+from dual_ur10.ids import load_object
 from dual_ur10.kinematics.poses import Poses, compose
 from dual_ur10.kinematics.rotations import quat_from_rotvec
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell_file import CellFile
-from dual_ur10.sim2real.config.cell_file_tables import AttachedTrackerEntry, EmulatedTrackerEntry, GivenTrackerEntry
+from dual_ur10.sim2real.config.cell_file_tables import (
+    AttachedTrackerEntry,
+    EmulatedTrackerEntry,
+    GivenTrackerEntry,
+    OwnTrackerEntry,
+    Tracker,
+)
 from dual_ur10.sim2real.links.json_link import JsonLink
 from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.types import Array, Closing, Vector3
@@ -47,15 +58,17 @@ class ObjectPose(NamedTuple):
         position_m: (3,) of its centre, in the cell frame.
         quat: (4,) its orientation, (w, x, y, z).
         measured_s: Time of the measurement, on the system's clock.
+        joints: Positions of its joints, rad or m, by their names.
     """
 
     position_m: Array
     quat: Array
     measured_s: float
+    joints: Mapping[str, float] = MappingProxyType({})
 
 
 class ObjectTracker(Closing):
-    """Source of the object's pose."""
+    """Source of the pose of one object, and of its joints. One of your own is named in the cell file."""
 
     @abstractmethod
     def pose(self, now_s: float, flanges: Flanges) -> ObjectPose:
@@ -114,6 +127,7 @@ class _Seen(BaseModel):
 
     position_m: Annotated[list[float], Field(min_length=3, max_length=3)]
     quat: Annotated[list[float], Field(min_length=4, max_length=4)]
+    joints: Annotated[dict[str, float], Field(max_length=20)] = {}
 
 
 class CameraTracker(ObjectTracker):
@@ -178,7 +192,7 @@ class CameraTracker(ObjectTracker):
                 f"{self.where}: found {reprlib.repr(answer)}; expected are three coordinates and a unit quaternion: "
                 "start the emulated cell again"
             )
-        return ObjectPose(np.array(seen.position_m), np.array(seen.quat), seen_s)
+        return ObjectPose(np.array(seen.position_m), np.array(seen.quat), seen_s, seen.joints)
 
     def _run(self) -> None:
         due_s = self._clock.now_s()
@@ -199,30 +213,56 @@ class CameraTracker(ObjectTracker):
         self._link.close()
 
 
-def tracker_of(cell_file: CellFile, prop: str, system: System = LOCAL) -> ObjectTracker | None:
-    """Return the tracker that a cell file names, or None if there is nothing to track.
+def trackers_of(cell_file: CellFile, props: Sequence[Prop], system: System = LOCAL) -> dict[str, ObjectTracker]:
+    """Return the trackers that a cell file names for the props of a task, by their names.
 
     Args:
-        cell_file: Cell file. That of an emulated cell need not name a tracker: it has an exact camera.
-        prop: Object that the task handles, such as "bar"; "" if none.
+        cell_file: Cell file. That of an emulated cell need not name trackers: it has an exact camera.
+        props: Props of the task. Those that nothing tracks have the pose of the start.
         system: Clock, network and threads.
 
     Raises:
-        CellFileError: The task handles an object, and the file does not say where it is.
-        SettingsError: An entry of the file is not legal.
+        CellFileError: Nothing tracks some of them.
+        SettingsError: A tracker of one's own cannot be made.
         LinkError: The camera does not answer.
     """
-    if not prop:
-        return None
-    entry = cell_file.tracker
+    entries = {each.prop: each for each in cell_file.tracker}
+    wanted = [each for each in props if each.tracked]
+    missing = [each.name for each in wanted if each.name not in entries] if cell_file.emulator is None else []
+    if missing:
+        raise CellFileError(
+            f"{cell_file.source}: this task handles {', '.join(missing)}, and nothing says where "
+            f"{'it is' if len(missing) == 1 else 'they are'}: add a table [[tracker]] for each, with "
+            f'prop = "{missing[0]}" and the kind "attached", "given" or "own"'
+            + (", or a table [emulator]" if cell_file.kind == "emulated" else "")
+        )
+    found: dict[str, ObjectTracker] = {}
+    with contextlib.ExitStack() as made:
+        for prop in wanted:
+            found[prop.name] = _tracker_of(cell_file, prop.name, entries.get(prop.name), system)
+            made.callback(found[prop.name].close)
+        made.pop_all()
+    return found
+
+
+def _tracker_of(cell_file: CellFile, prop: str, entry: Tracker | None, system: System) -> ObjectTracker:
     if isinstance(entry, AttachedTrackerEntry):
         return FlangeTracker(entry.arm, entry.position_m, quat_from_rotvec(entry.rotation_rad))
     if isinstance(entry, GivenTrackerEntry):
         return FixedTracker(entry.position_m, quat_from_rotvec(entry.rotation_rad))
+    if isinstance(entry, OwnTrackerEntry):
+        tracker = load_object(entry.tracker, f"the tracker of the prop {prop!r}")
+        try:
+            made = tracker(prop, **entry.keywords)
+        except TypeError as error:
+            raise SettingsError(
+                f"{cell_file.source}: the tracker {entry.tracker!r} cannot be made of the name of the prop and the "
+                f"options {entry.options or '(none)'}: {error}"
+            ) from error
+        if not isinstance(made, ObjectTracker):
+            raise SettingsError(f"{cell_file.source}: {entry.tracker!r} is no subclass of {ObjectTracker.__qualname__}")
+        return made
     if cell_file.emulator is None:
-        raise CellFileError(
-            f"{cell_file.source}: this task handles a {prop}, and nothing says where it is: add a table [tracker] of "
-            'kind "attached" or "given"' + (", or a table [emulator]" if cell_file.kind == "emulated" else "")
-        )
+        raise CellFileError(f"{cell_file.source}: the camera of an emulated cell needs the table [emulator]")
     link = JsonLink("emulated camera", cell_file.left.host, cell_file.emulator.port, _ANSWER_S, system=system)
-    return CameraTracker(link, prop, entry or EmulatedTrackerEntry(), system=system)
+    return CameraTracker(link, prop, entry or EmulatedTrackerEntry(prop=prop), system=system)

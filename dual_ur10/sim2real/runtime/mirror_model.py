@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from dual_ur10.assets.scene import build_model, sensor_slices
 from dual_ur10.assets.settings import SceneSettings
+from dual_ur10.kinematics.poses import Poses
 from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.sim2real.config.cell import CellState
+from dual_ur10.sim2real.config.cell import CellState, Start, check_start
 from dual_ur10.types import Array
-
-Pose = tuple[Array, Array]
 
 
 class MirrorModel:
@@ -35,11 +36,38 @@ class MirrorModel:
         self._gripped = scene.equipment.grippers
         self._joints = 8 if self._gripped else 6
         self._bodies = [self._model.body(f"{arm}/gripper").id for arm in ARMS] if self._gripped else []
-        self._target: Pose | None = None
+        model, props = self._model, scene.equipment.props
+        data = self._data
+        self._joint_rows = {each: model.joint(f"{p.name}/{each}").qposadr[0] for p in props for each in p.joints}
+        self._places: dict[str, tuple[Array, Array]] = {}
+        for prop in props:
+            if prop.free:
+                first = int(model.joint(f"{prop.name}/free").qposadr[0])
+                self._places[prop.name] = data.qpos[first : first + 3], data.qpos[first + 3 : first + 7]
+            elif prop.placed:
+                row = int(model.body(prop.body).mocapid[0])
+                self._places[prop.name] = data.mocap_pos[row], data.mocap_quat[row]
 
-    def aim(self, target: Pose | None) -> None:
-        """Set the pose of the task's target: position (3,) and orientation (4,); None: there is none."""
-        self._target = target
+    def place(self, objects: Mapping[str, Poses], joints: Mapping[str, float] = MappingProxyType({})) -> None:
+        """Put props at poses, position_m (3,) and quat (4,), and their joints at positions. Others stay."""
+        for name, pose in objects.items():
+            self._places[name][0][:], self._places[name][1][:] = pose.position_m, pose.quat
+        for name, value in joints.items():
+            self._data.qpos[self._joint_rows[name]] = value
+
+    def start(self, start: Start) -> None:
+        """Put all props where an episode begins.
+
+        Raises:
+            UnknownNameError: The start names a prop or joint that the scene does not have.
+        """
+        check_start(start, self._scene.equipment.props)
+        self._mujoco.mj_resetData(self._model, self._data)
+        poses = {name: np.asarray(pose).reshape(7) for name, pose in start.objects.items()}
+        self.place(
+            {name: Poses(pose[:3], pose[3:]) for name, pose in poses.items()},
+            {name: float(np.asarray(value).reshape(())) for name, value in start.joints.items()},
+        )
 
     def follow(
         self,
@@ -49,9 +77,8 @@ class MirrorModel:
         *,
         gripper_m: Array | None = None,
         wrench: Array | None = None,
-        thing: Pose | None = None,
     ) -> CellState:
-        """Set the model to a measurement and return the resulting state.
+        """Set the arms to a measurement and return the resulting state, with the props where they were placed.
 
         Args:
             time_s: Time since the episode began.
@@ -59,17 +86,12 @@ class MirrorModel:
             qd_rad_s: (2, 6) measured joint speeds.
             gripper_m: (2,) measured gripper widths; None: there are no grippers.
             wrench: (2, 6) measured force and torque at the flanges in their `base` frames; None: there are no grippers.
-            thing: Measured pose of the object; None: there is none.
         """
         data, joints = self._data, self._joints
         arms = data.qpos[: 2 * joints].reshape(2, joints)
         arms[:, :6] = q_rad
         if self._gripped and gripper_m is not None:
             arms[:, 6:] = np.asarray(gripper_m)[:, None] / 2
-        if thing is not None and self._scene.equipment.prop:
-            data.qpos[-7:] = np.concatenate(thing)
-        if self._target is not None and self._model.nmocap:
-            data.mocap_pos[0], data.mocap_quat[0] = self._target
         self._mujoco.mj_kinematics(self._model, data)
         self._mujoco.mj_comPos(self._model, data)
         self._mujoco.mj_sensorPos(self._model, data)
@@ -82,6 +104,8 @@ class MirrorModel:
             base_quat,
             flange_m,
             np.zeros(1, dtype=bool),
+            objects={name: Poses(at[None].copy(), quat[None].copy()) for name, (at, quat) in self._places.items()},
+            joints={name: data.qpos[row : row + 1].copy() for name, row in self._joint_rows.items()},
         )
         if not self._gripped:
             return state
@@ -89,10 +113,6 @@ class MirrorModel:
             flange_quat=data.xquat[self._bodies][None].copy(),
             gripper_m=np.array([gripper_m]),
             wrench=np.array([wrench]),
-            object_m=None if thing is None else np.array([thing[0]]),
-            object_quat=None if thing is None else np.array([thing[1]]),
-            target_m=None if self._target is None else np.array([self._target[0]]),
-            target_quat=None if self._target is None else np.array([self._target[1]]),
         )
 
     def model_and_data(self) -> tuple[Any, Any]:

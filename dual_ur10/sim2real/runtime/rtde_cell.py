@@ -17,6 +17,7 @@ from typing import Any, Final
 import numpy as np
 
 from dual_ur10.errors import ClosedError, DualUR10Error, LinkError, SettingsError, StartError
+from dual_ur10.kinematics.poses import Poses
 from dual_ur10.kinematics.rotations import quat_conjugate, quat_from_rotvec, quat_multiply, rotate
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.commissioning.operator_prompts import Confirm, prompt_for
@@ -29,7 +30,7 @@ from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.links.arm_status import ArmStatus
 from dual_ur10.sim2real.peripherals.grippers import Grippers
 from dual_ur10.sim2real.peripherals.object_placer import ObjectPlacer, placer_of
-from dual_ur10.sim2real.peripherals.object_tracker import Flanges, ObjectTracker, tracker_of
+from dual_ur10.sim2real.peripherals.object_tracker import Flanges, ObjectTracker, trackers_of
 from dual_ur10.sim2real.processes.machine_load import is_too_busy
 from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.runtime.approach import Approach, Rates, plan
@@ -132,7 +133,7 @@ class RtdeCell:
         self._paused = False  # no command was owed since the last one
         self._temperature = [TemperatureWarning(name) for name in ARMS]
         self._grippers: Grippers | None = None
-        self._tracker: ObjectTracker | None = None
+        self._trackers: dict[str, ObjectTracker] = {}
         self._placer: ObjectPlacer | None = None
         self._garbage = system.garbage()
         self._relax = system.hurry()  # this program owes actions in time, also while a training fills the machine
@@ -166,7 +167,7 @@ class RtdeCell:
                 log.warning("%s. Nothing has moved; connecting again", error)
 
     def _equip(self) -> None:
-        """Connect to grippers, object tracker and object placer."""
+        """Connect to grippers, object trackers and object placer."""
         equipment, file = self.config.equipment, self.file
         if equipment.grippers:
             for name, arm in zip(ARMS, file.arms, strict=True):
@@ -176,7 +177,7 @@ class RtdeCell:
             self._grippers = Grippers(
                 file, force_n=equipment.grip_force_n, permitted=lambda: runner.moves_on, system=self.system
             )
-        self._tracker = tracker_of(file, equipment.prop or "", self.system)
+        self._trackers = trackers_of(file, equipment.props, self.system)
         self._placer = placer_of(file, self.system)
 
     # An episode.
@@ -224,12 +225,13 @@ class RtdeCell:
                 log.warning("%s. They continue from there", error)
                 now = runner.last()
         statuses = self._path.arrived(runner, goal)
-        if self._placer is not None and start.object_pose is not None:
-            pose = np.asarray(start.object_pose).reshape(7)
-            self._placer.place(pose[:3].tolist(), pose[3:].tolist())
+        if self._placer is not None and start.objects:
+            for prop in self.config.equipment.props:
+                if prop.posed and prop.name in start.objects:
+                    pose = np.asarray(start.objects[prop.name]).reshape(7)
+                    self._placer.place(prop.name, pose[:3].tolist(), pose[3:].tolist())
             self.system.clock.sleep(2.0 * _POLL_S)
-        target = None if start.target_pose is None else np.asarray(start.target_pose).reshape(7)
-        self._mirror.aim(None if target is None else (target[:3], target[3:]))
+        self._mirror.start(start)
         self._origin, self._elapsed, self._paused = None, 0, False
         self._garbage.prepare_episode()
         return CellStep(self._state(statuses), None if self._only is None else goal[None])
@@ -341,7 +343,7 @@ class RtdeCell:
             self._end.detach()
             self._runner = None
             self._let_go()
-        for each in (self._grippers, self._tracker, self._placer):
+        for each in (self._grippers, *self._trackers.values(), self._placer):
             if each is not None:
                 each.close()
 
@@ -396,9 +398,10 @@ class RtdeCell:
             )
         if start.gripper_m is not None and self._grippers is not None:
             lines.append("Before that, the grippers are activated if they are not, and open: what they hold falls.")
-        if start.object_pose is not None:
-            x, y, z = np.asarray(start.object_pose).reshape(7)[:3]
-            lines.append(f"The object should be at ({x:.3f}, {y:.3f}, {z:.3f}) m once they are there.")
+        for prop in self.config.equipment.props:
+            if prop.free and prop.name in start.objects:
+                x, y, z = np.asarray(start.objects[prop.name]).reshape(7)[:3]
+                lines.append(f"The {prop.name} should be at ({x:.3f}, {y:.3f}, {z:.3f}) m once they are there.")
         lines.append("Keep everybody out of their reach, and a hand at the emergency stop.")
         return " ".join(lines)
 
@@ -455,7 +458,7 @@ class RtdeCell:
             warn(status)
         slow = self.file.speed_factor
         q, qd = (np.array([getattr(each, name) for each in statuses]) for name in ("q_rad", "qd_rad_s"))
-        widths = wrench = thing = None
+        widths = wrench = None
         if self._grippers is not None:
             fault = self._grippers.fault_except(None if self._only is None else ARMS[1 - self._only])
             if fault:
@@ -465,11 +468,21 @@ class RtdeCell:
             wrench = np.array([_wrench_at_flange(each) for each in statuses])
         time_s = self._elapsed * self._tick_s
         state = self._mirror.follow(time_s, q, qd / slow, gripper_m=widths, wrench=wrench)
-        if self._tracker is None or state.flange_quat is None:
+        if not self._trackers or state.flange_quat is None:
             return state
-        seen = self._tracker.pose(self.system.clock.now_s(), Flanges(state.flange_m[0], state.flange_quat[0]))
-        thing = (np.asarray(seen.position_m), np.asarray(seen.quat))
-        return self._mirror.follow(time_s, q, qd / slow, gripper_m=widths, wrench=wrench, thing=thing)
+        flanges = Flanges(state.flange_m[0], state.flange_quat[0])
+        now_s = self.system.clock.now_s()
+        seen = {name: tracker.pose(now_s, flanges) for name, tracker in self._trackers.items()}
+        posed = {each.name for each in self.config.equipment.props if each.posed}
+        self._mirror.place(
+            {
+                name: Poses(np.asarray(each.position_m), np.asarray(each.quat))
+                for name, each in seen.items()
+                if name in posed
+            },
+            {joint: value for each in seen.values() for joint, value in each.joints.items()},
+        )
+        return self._mirror.follow(time_s, q, qd / slow, gripper_m=widths, wrench=wrench)
 
 
 def _check_bases(file: CellFile) -> None:

@@ -151,7 +151,7 @@ def test_the_plant_differs():
         _, info = env.reset(seed=seed)
         drawn, batch = info["randomization"], core.cell._physics._batch
         model = batch.model
-        link, bar = model.body("left/upper_arm_link").id, model.body("bar").id
+        link, bar = model.body("left/upper_arm_link").id, model.body("bar/bar").id
         assert np.allclose(batch.expand("body_mass")[0, link], 12.7 * drawn["mass_scale"][0])
         assert np.allclose(batch.expand("body_mass")[0, bar], 4.0 * drawn["object_mass_scale"])
         pad = model.geom("right/pad_1").id

@@ -2,17 +2,19 @@ import numpy as np
 import pytest
 
 from dual_ur10 import ArmMount, CellConfig
+from dual_ur10.assets.props import BAR
 from dual_ur10.assets.settings import Equipment
 from dual_ur10.envs.core.randomization import Randomization
 from dual_ur10.envs.core.sensing import Sensing
 from dual_ur10.kinematics.frames import Frames
+from dual_ur10.kinematics.poses import Poses
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply, quat_to_rotvec
 from dual_ur10.sim2real.config.cell import CellState
 
 N = 4
-CELL = CellConfig(left=ArmMount((-0.75, 0.6, 0.0), 0.3), equipment=Equipment(grippers=True, prop="bar"))
+CELL = CellConfig(left=ArmMount((-0.75, 0.6, 0.0), 0.3), equipment=Equipment(grippers=True, props=(BAR,)))
 QUIET = CellConfig(
-    left=ArmMount((-0.75, 0.6, 0.0), 0.3), equipment=Equipment(grippers=True, prop="bar"), wrench_noise=(0.0, 0.0)
+    left=ArmMount((-0.75, 0.6, 0.0), 0.3), equipment=Equipment(grippers=True, props=(BAR,)), wrench_noise=(0.0, 0.0)
 )
 
 
@@ -31,8 +33,7 @@ def state(seed=0):
         frames.quat_to_cell(base_quat),
         rng.uniform(0, 0.085, (N, 2)),
         rng.normal(size=(N, 2, 6)),
-        rng.normal(size=(N, 3)),
-        quat_from_rotvec(rng.normal(size=(N, 3))),
+        {"bar": Poses(rng.normal(size=(N, 3)), quat_from_rotvec(rng.normal(size=(N, 3))))},
     )
 
 
@@ -40,8 +41,8 @@ def sensing(cell=QUIET, sampled=None, **values):
     made = Sensing(cell, Randomization(**values), 0.04, N)
     first = state(0)
     blank = {
-        "object_offset_m": np.zeros((N, 3)),
-        "object_offset_rad": np.zeros((N, 3)),
+        "object_offset_m": np.zeros((N, 1, 3)),
+        "object_offset_rad": np.zeros((N, 1, 3)),
         "observation_delay_s": np.zeros(N),
     }
     made.reset(first, np.arange(N), list(range(N)), {**blank, **(sampled or {})})
@@ -74,14 +75,15 @@ def test_joint_noise():
 
 def test_the_objects_offset_is_constant_in_an_episode():
     offset, turn = np.random.default_rng(1).normal(size=(2, N, 3)) * 0.01
-    made, first = sensing(sampled={"object_offset_m": offset, "object_offset_rad": turn}, object_noise_m=0.01)
+    sampled = {"object_offset_m": offset[:, None], "object_offset_rad": turn[:, None]}
+    made, first = sensing(sampled=sampled, object_noise_m=0.01)
     for seed in (0, 1):
         true = state(seed)
         seen = made(true)
-        assert np.allclose(seen.object_m - true.object_m, offset)
-        apart = quat_multiply(seen.object_quat, true.object_quat * [1, -1, -1, -1])
+        assert np.allclose(seen.objects["bar"].position_m - true.objects["bar"].position_m, offset)
+        apart = quat_multiply(seen.objects["bar"].quat, true.objects["bar"].quat * [1, -1, -1, -1])
         assert np.allclose(quat_to_rotvec(apart), turn, atol=1e-12)
-    assert np.array_equal(first.object_m, state(0).object_m)  # the truth is untouched
+    assert np.array_equal(first.objects["bar"].position_m, state(0).objects["bar"].position_m)  # the truth is untouched
 
 
 def test_a_moved_base_is_not_measured():
@@ -102,8 +104,8 @@ def test_delay_mixes_two_successive_states():
         share = (delay / 0.04)[:, None, None]
         assert np.allclose(seen.q_rad, now.q_rad + share * (before.q_rad - now.q_rad))
         assert np.allclose(np.linalg.norm(seen.flange_base_quat, axis=-1), 1.0)
-        assert np.array_equal(seen.object_m[0], now.object_m[0])
-        assert np.allclose(seen.object_m[3], before.object_m[3])
+        assert np.array_equal(seen.objects["bar"].position_m[0], now.objects["bar"].position_m[0])
+        assert np.allclose(seen.objects["bar"].position_m[3], before.objects["bar"].position_m[3])
         assert np.array_equal(seen.time_s, now.time_s)  # the clock is the computer's own
 
 

@@ -251,13 +251,13 @@ def test_starts_are_sampled_on_the_givers_side():
     assert 0.35 < giver.mean() < 0.65
     state = core._state
     side = 1 - 2 * giver
-    block = state.object_m - np.stack([0.0 * side, 0.5 * side, 0.02 + 0.0 * side], axis=1)
-    target = state.target_m - np.stack([0.0 * side, -0.5 * side, 0.02 + 0.0 * side], axis=1)
+    block = state.objects["block"].position_m - np.stack([0.0 * side, 0.5 * side, 0.02 + 0.0 * side], axis=1)
+    target = state.objects["target"].position_m - np.stack([0.0 * side, -0.5 * side, 0.02 + 0.0 * side], axis=1)
     for away, reach in ((block, settings.object_range_m), (target, settings.target_range_m)):
         assert np.abs(away[:, :2]).max() <= reach
         assert np.abs(away[:, :2]).max(axis=0).min() > 0.9 * reach
         assert np.abs(away[:, 2]).max() < 1e-3
-    yaw = 2 * np.arctan2(state.object_quat[:, 3], state.object_quat[:, 0])
+    yaw = 2 * np.arctan2(state.objects["block"].quat[:, 3], state.objects["block"].quat[:, 0])
     assert 0.9 * np.pi / 6 < np.abs(yaw).max() <= np.pi / 6
 
 
@@ -313,7 +313,10 @@ def test_observation_is_what_the_table_says():
     assert arms["other_gripper_m"].ravel().tolist() == state.gripper_m[0, ::-1].tolist()
     for k, mount in enumerate((cell.left, cell.right)):
         turn = quat_to_matrix(yaw_quat(np.array(mount.yaw_rad + np.pi)))
-        for name, there in (("block_base_m", state.object_m[0]), ("target_base_m", state.target_m[0])):
+        for name, there in (
+            ("block_base_m", state.objects["block"].position_m[0]),
+            ("target_base_m", state.objects["target"].position_m[0]),
+        ):
             assert np.allclose(turn @ arms[name][k] + mount.position_m, there)
     relative = arms["other_flange_m"][0]
     assert np.allclose(rotate(state.flange_quat[0, 0], relative) + state.flange_m[0, 0], state.flange_m[0, 1])

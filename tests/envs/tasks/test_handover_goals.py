@@ -65,7 +65,7 @@ def test_goals_at_the_start_are_above_the_grip_and_at_home():
     assert np.abs(fields["goal_step_m"][rows, 1 - giver]).max() < 2e-3
     assert np.abs(fields["goal_rotation"][rows, 1 - giver]).max() < 0.02
     goal = (tool + fields["goal_step_m"])[rows, giver]
-    away = goal - state.object_m
+    away = goal - state.objects["block"].position_m
     assert np.linalg.norm(away[:, :2], axis=1).max() < 0.07  # half of the block
     assert (away[:, 2] > 0.02).all()
     assert (away[:, 2] < APPROACH_M + 0.05).all()

@@ -156,7 +156,7 @@ def test_it_waits_for_the_fingers_up_to_a_limit(patience):
         seen = observation.copy()
         seen[0, 25] = 0.06 if patience else seen[0, 25]  # fingers that seem not to close
         observation = core.step(policy(seen)).observation
-        if core._state.object_m[0, 2] > 0.03:
+        if core._state.objects["block"].position_m[0, 2] > 0.03:
             lifted_at = k * core.timing.period_s
             break
     assert lifted_at is not None

@@ -171,7 +171,7 @@ def test_a_path_is_distinguished_from_a_name(path: Path, monkeypatch: pytest.Mon
 def test_a_kind_without_its_file_is_refused(kind: Any, path: Path) -> None:
     with pytest.raises(SettingsError, match="needs a cell file"):
         CellConfig(kind=kind)
-    with pytest.raises(SettingsError, match="needs a cell file"):
+    with pytest.raises(SettingsError, match="kind 'mujoco' has no cell file"):
         dataclasses.replace(resolve_cell(path), kind="mujoco")
 
 

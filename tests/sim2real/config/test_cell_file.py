@@ -38,6 +38,7 @@ from dual_ur10.sim2real.config.cell_file_tables import (
     GivenTrackerEntry,
     Measured,
     NoGripper,
+    OwnTrackerEntry,
     RobotiqSocket,
 )
 from dual_ur10.sim2real.config.cell_file_text import Key, toml_text
@@ -123,7 +124,10 @@ def test_every_key_is_read() -> None:
         left__limits={"speed_rad_s": 1, "jerk_rad_s3": 150.0},
         left__measured={"lookahead_s": 0.031, "latency_s": 0},
         left__calibration={"theta_rad": [1e-4, 0, 0, 0, 0, 0], "checksum": [1, 2, 3, 4, 5, 4294967295]},
-        tracker={"kind": "given", "position_m": [0, 0, 0.1], "rotation_rad": [0, 0, 1.5]},
+        tracker=[
+            {"prop": "bar", "kind": "given", "position_m": [0, 0, 0.1], "rotation_rad": [0, 0, 1.5]},
+            {"prop": "lid", "kind": "own", "tracker": "my_lab.camera:Camera", "options": "serial=a17 rate=30"},
+        ],
         obstacle=[
             {"name": "wall", "kind": "plane", "point_m": [1, 0, 0], "normal": [-1, 0, 0]},
             {"name": "box", "kind": "box", "position_m": [0, 1.5, 0.2], "size_m": [0.1, 0.2, 0.3]},
@@ -156,7 +160,11 @@ def test_every_key_is_read() -> None:
     assert cell.right.measured == Measured()
     assert left.gripper == RobotiqSocket(port=1234)
     assert cell.right.gripper == DigitalGripper(output=16, open_level=True)
-    assert cell.tracker == GivenTrackerEntry(position_m=(0.0, 0.0, 0.1), rotation_rad=(0.0, 0.0, 1.5))
+    assert cell.tracker == (
+        GivenTrackerEntry(prop="bar", position_m=(0.0, 0.0, 0.1), rotation_rad=(0.0, 0.0, 1.5)),
+        OwnTrackerEntry(prop="lid", tracker="my_lab.camera:Camera", options="serial=a17 rate=30"),
+    )
+    assert cell.tracker[1].keywords == {"serial": "a17", "rate": 30}
     assert cell.obstacles == (
         Plane(name="wall", point_m=(1.0, 0.0, 0.0), normal=(-1.0, 0.0, 0.0)),
         Box(name="box", position_m=(0.0, 1.5, 0.2), size_m=(0.1, 0.2, 0.3)),
@@ -180,7 +188,8 @@ def test_defaults_of_an_emulated_cell() -> None:
         is cell.left.safety_checksum
         is None
     )
-    assert cell.tracker is cell.emulator is None
+    assert cell.emulator is None
+    assert cell.tracker == ()
     assert cell.obstacles == ()
     assert cell_of(SMALL, left__gripper={"kind": "robotiq"}).left.gripper == RobotiqSocket(port=63352)
     only = cell_of(SMALL, left__tcp_position_m=[0, 0, 0.1])
@@ -190,8 +199,9 @@ def test_defaults_of_an_emulated_cell() -> None:
 @pytest.mark.parametrize("kind", ["attached", "emulated"])
 def test_trackers_by_kind(kind: str) -> None:
     emulator = {"port": 4000, "task": ENV_IDS[0], "pid": 17}
-    cell = cell_of(SMALL, tracker={"kind": kind}, emulator=emulator)
-    assert cell.tracker == {"attached": AttachedTrackerEntry(), "emulated": EmulatedTrackerEntry()}[kind]
+    cell = cell_of(SMALL, tracker=[{"prop": "block", "kind": kind}], emulator=emulator)
+    kinds = {"attached": AttachedTrackerEntry, "emulated": EmulatedTrackerEntry}
+    assert cell.tracker == (kinds[kind](prop="block"),)
     assert cell.emulator == EmulatorEntry(port=4000, task=ENV_IDS[0], pid=17)
 
 
@@ -293,7 +303,7 @@ def contents(draw: st.DrawFn) -> dict[str, Any]:
     if not real:
         values["emulator"] = draw(table_of("emulator.", real))
     if draw(st.booleans()):
-        values["tracker"] = draw(variant_of("tracker.", real))
+        values["tracker"] = [draw(variant_of("tracker.", real))]
     count = draw(st.integers(0, 3))
     if count:
         values["obstacle"] = [draw(variant_of("obstacle.", real, name=st.just(f"o_{row}"))) for row in range(count)]
@@ -432,7 +442,7 @@ REFUSED: list[tuple[dict[str, Any], tuple[str, ...]]] = [
     ({"left__gripper": {"kind": ["none"]}}, ("left.gripper.kind is",)),
     ({"obstacle": [{"name": "b"}]}, ("obstacle[0].kind is missing", '"box" or "capsule" or "plane"')),
     ({"obstacle": [{"name": "b", "kind": "box", "size_m": [1, 1, 1]}]}, ("obstacle[0].position_m is missing",)),
-    ({"tracker": {"kind": "given"}}, ("tracker.position_m is missing",)),
+    ({"tracker": [{"prop": "x", "kind": "given"}]}, ("tracker[0].position_m is missing",)),
     ({"kind": DELETE}, ("kind is missing", 'kind = "real"')),
     ({"right": DELETE}, ("right is missing", "two arms", "[right]")),
     ({"left__host": DELETE}, ("left.host is missing",)),
@@ -459,7 +469,7 @@ REFUSED: list[tuple[dict[str, Any], tuple[str, ...]]] = [
         ("left.calibration: DH parameter a_m[1] is -0.425", "another robot"),
     ),
     ({"emulator": {"port": 4000}}, ("emulator is in the file of a real cell", 'kind = "emulated"')),
-    ({"tracker": {"kind": "emulated"}}, ('tracker.kind is "emulated"', "[emulator]")),
+    ({"tracker": [{"prop": "x", "kind": "emulated"}]}, ('tracker[0].kind is "emulated"', "[emulator]")),
     ({"obstacle": [BOX, PLANE, {**PLANE, "name": "b"}]}, ("obstacle[2].name is 'b', as that of obstacle[0]",)),
     ({"obstacle": [{**PLANE, "normal": [-1, -1, 0]}]}, ("obstacle[0].normal has the length 1.41421", "allowed is 1")),
     ({"obstacle": [{**PLANE, "normal": [0, 0, 0]}]}, ("obstacle[0].normal has the length 0",)),
@@ -486,7 +496,9 @@ def test_numbers_have_to_be_finite(tmp_path: Path, line: str, value: str) -> Non
 
 
 def test_an_emulated_tracker_needs_an_emulator(tmp_path: Path) -> None:
-    assert "[emulator]" in refused(tmp_path, edited(SMALL, tracker={"kind": "emulated"}))
+    assert "[emulator]" in refused(tmp_path, edited(SMALL, tracker=[{"prop": "block", "kind": "emulated"}]))
+    twice = [{"prop": "block", "kind": "attached"}] * 2
+    assert "two trackers are of the prop 'block'" in refused(tmp_path, edited(SMALL, tracker=twice))
 
 
 def test_all_findings_are_counted(tmp_path: Path) -> None:
@@ -495,11 +507,11 @@ def test_all_findings_are_counted(tmp_path: Path) -> None:
     cell, findings = module.examine(path)
     assert cell is None
     assert [each.split()[0] for each in findings] == ["speed_factor", "left.hots", "right.payload_kg"]
-    odd = edited(GOOD, tracker={"kind": "radar", "arm": "left", "beam": 3}, obstacle=[{**BOX, "kind": 3, "hue": 1}])
+    odd = edited(GOOD, tracker=[{"kind": "radar", "arm": "left", "beam": 3}], obstacle=[{**BOX, "kind": 3, "hue": 1}])
     _, found = examine_text(toml_text(edited(odd, left__host=DELETE, left__tcp_position_m=DELETE)))
     assert [each.split()[0] for each in found] == [
-        "tracker.kind",
-        "tracker.beam",
+        "tracker[0].kind",
+        "tracker[0].beam",
         "obstacle[0].kind",
         "obstacle[0].hue",
         "left.host",
@@ -787,7 +799,7 @@ def test_the_template_is_legal_and_slow(tmp_path: Path, kind: Any, family: str) 
     extra = re.sub("^# ?", "", EXAMPLES.split("\n", 1)[1], flags=re.MULTILINE)
     more = loaded(tmp_path, text + extra)
     assert [each.kind for each in more.obstacles] == ["plane", "box", "capsule"]
-    assert more.tracker == AttachedTrackerEntry(position_m=(0.0, 0.0, 0.17))
+    assert more.tracker == (AttachedTrackerEntry(prop="block", position_m=(0.0, 0.0, 0.17)),)
 
 
 def test_a_real_cell_needs_addresses() -> None:
@@ -867,6 +879,9 @@ def test_units_are_in_the_names() -> None:
         "checksum",
         "safety_checksum",
         "arm",
+        "prop",
+        "tracker",
+        "options",
         "normal",
         "date",
         "data",

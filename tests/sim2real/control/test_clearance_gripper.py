@@ -10,6 +10,7 @@ from scipy.optimize import lsq_linear
 from dual_ur10.assets.cell_spec import joint_names
 from dual_ur10.assets.collision_model import CLEARANCE_CUTOFF_M, CLEARANCE_PAIRS, build_collision_model, clearance_pairs
 from dual_ur10.assets.gripper import FINGERTIP_M, OPENING_M
+from dual_ur10.assets.props import BAR
 from dual_ur10.assets.scene import build_model
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.kinematics.frames import ArmMount
@@ -32,7 +33,7 @@ def with_fingers(q, opening):
 def test_pairs(collision):
     pairs = clearance_pairs(GRIPPERS)
     assert clearance_pairs(SceneSettings()) is CLEARANCE_PAIRS
-    assert clearance_pairs(SceneSettings(equipment=Equipment(prop="bar"))) is CLEARANCE_PAIRS
+    assert clearance_pairs(SceneSettings(equipment=Equipment(props=(BAR,)))) is CLEARANCE_PAIRS
     assert pairs[: len(CLEARANCE_PAIRS)] == CLEARANCE_PAIRS
     assert len({frozenset(pair) for pair in pairs}) == len(pairs) == collision.nsensordata
     assert [collision.sensor(i).name for i in range(collision.nsensor)] == [":".join(pair) for pair in pairs]

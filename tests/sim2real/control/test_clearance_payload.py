@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from dual_ur10 import policies
-from dual_ur10.assets.collision_model import PAYLOAD_PAIRS, build_collision_model, clearance_pairs
+from dual_ur10.assets.collision_model import build_collision_model, clearance_pairs, payload_pairs
 from dual_ur10.assets.obstacles import Capsule
-from dual_ur10.assets.props import prop_size_m
+from dual_ur10.assets.props import BAR, BLOCK, TARGET
 from dual_ur10.assets.scene import build_model
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.envs.tasks.handover.settings import GRIPS
@@ -21,7 +21,10 @@ from dual_ur10.kinematics.ur10 import ARMS, LINKS
 from dual_ur10.sim2real.config.cell import CellConfig
 from tests.sim2real.control.reference_cell import random_q, segment
 
-PROPS = {prop: SceneSettings(equipment=Equipment(grippers=True, prop=prop)) for prop in ("bar", "block")}
+PROPS = {
+    "bar": SceneSettings(equipment=Equipment(grippers=True, props=(BAR,))),
+    "block": SceneSettings(equipment=Equipment(grippers=True, props=(BLOCK, TARGET))),
+}
 EMPTY = SceneSettings(equipment=Equipment(grippers=True))
 ROD = Capsule(name="rod", from_m=(-0.6, 0.0, 0.25), to_m=(0.6, 0.0, 0.25), radius_m=0.01)
 GRIPS_OF = [("bar", CarrySettings(grasp=grasp).grip) for grasp in ("rigid", "friction")]
@@ -33,11 +36,11 @@ def test_pairs(prop):
     pairs = clearance_pairs(PROPS[prop])
     collision = build_collision_model(PROPS[prop])
     bare = clearance_pairs(EMPTY)
-    assert pairs == bare + PAYLOAD_PAIRS
+    assert pairs == bare + payload_pairs(PROPS[prop])
     assert [collision.sensor(i).name for i in range(collision.nsensor)] == [":".join(pair) for pair in pairs]
     near = clearance_pairs(dataclasses.replace(PROPS[prop], obstacles=(ROD,)))
     assert near[: len(pairs)] == pairs
-    assert {f"{arm}/held" for arm in ARMS} <= {first for first, _ in near[len(pairs) :]}
+    assert {f"{arm}/held_{prop}" for arm in ARMS} <= {first for first, _ in near[len(pairs) :]}
 
 
 @pytest.mark.parametrize(("prop", "grips"), GRIPS_OF)
@@ -53,9 +56,9 @@ def test_the_payload_is_at_the_gripped_prop(prop: str, grips: Poses, arm: int):
     mujoco.mj_kinematics(model, cell)
     tool = cell.site(f"{ARMS[arm]}/tcp")
     grip = quat_to_matrix(grips.quat[arm])
-    half = np.array(prop_size_m(prop)) / 2
+    half = model.geom(f"{prop}/{prop}").size
     long = int(half.argmax())
-    geom = collision.geom(f"{ARMS[arm]}/held").id
+    geom = collision.geom(f"{ARMS[arm]}/held_{prop}").id
     line = (segment(collision, data, geom, 101) - tool.xpos) @ tool.xmat.reshape(3, 3)
     in_prop = line @ grip.T + grips.position_m[arm]
     radius = collision.geom_size[geom, 0]
@@ -73,7 +76,7 @@ def test_every_pair_of_the_payload_is_measured(prop):
     """Except the other gripper's fingers, which take it, and the other gripper's payload, which is the same object."""
     collision = build_collision_model(PROPS[prop])
     data = mujoco.MjData(collision)
-    measured = set(PAYLOAD_PAIRS)
+    measured = set(payload_pairs(PROPS[prop]))
     fromto = np.zeros(6)
     parts = ("base_link", *LINKS, "palm")
     seen = set()
@@ -81,12 +84,12 @@ def test_every_pair_of_the_payload_is_measured(prop):
         data.qpos[:] = q.ravel()
         mujoco.mj_kinematics(collision, data)
         for arm in ARMS:
-            thing = collision.geom(f"{arm}/held").id
+            thing = collision.geom(f"{arm}/held_{prop}").id
             for other in (f"{each}/{part}" for each in ARMS for part in parts):
                 if mujoco.mj_geomDistance(collision, data, thing, collision.geom(other).id, 0.02, fromto) < 0.01:
-                    seen.add((f"{arm}/held", other))
+                    seen.add((f"{arm}/held_{prop}", other))
     assert seen <= measured
-    assert {(f"{arm}/held", f"{arm}/forearm_link") for arm in ARMS} <= seen
+    assert {(f"{arm}/held_{prop}", f"{arm}/forearm_link") for arm in ARMS} <= seen
 
 
 def test_the_bar_is_not_lifted_against_an_obstacle():
@@ -100,8 +103,8 @@ def test_the_bar_is_not_lifted_against_an_obstacle():
         observation, _, terminated, truncated, info = env.step(policy(observation))
         over = terminated or truncated
     assert terminated
-    assert "held and obstacle/rod" in info["safety"].subject
+    assert "held_bar and obstacle/rod" in info["safety"].subject
     model, data = env.unwrapped.core.cell_data(0)
     fromto = np.zeros(6)
-    away = mujoco.mj_geomDistance(model, data, model.geom("bar").id, model.geom("obstacle/rod").id, 1.0, fromto)
+    away = mujoco.mj_geomDistance(model, data, model.geom("bar/bar").id, model.geom("obstacle/rod").id, 1.0, fromto)
     assert away > 0.015

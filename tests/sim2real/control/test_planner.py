@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dual_ur10.assets.obstacles import Box
+from dual_ur10.assets.props import BAR
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.errors import PlanningError
 from dual_ur10.kernel import call
@@ -26,7 +27,7 @@ LIMITS = MotionLimits()
 SCENES = {
     "bare": SceneSettings(),
     "pillar": SceneSettings(obstacles=(Box(name="pillar", position_m=(-0.3, 0.0, 0.4), size_m=(0.3, 0.3, 0.8)),)),
-    "grippers and bar": SceneSettings(equipment=Equipment(grippers=True, prop="bar")),
+    "grippers and bar": SceneSettings(equipment=Equipment(grippers=True, props=(BAR,))),
 }
 
 

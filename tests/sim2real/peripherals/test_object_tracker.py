@@ -6,12 +6,26 @@ import math
 import numpy as np
 import pytest
 
+from dual_ur10.assets.prop import Prop
+from dual_ur10.assets.props import BAR, BLOCK, TARGET
 from dual_ur10.errors import CellFileError, EmulatorError, LinkError, SettingsError
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply, rotate
-from dual_ur10.sim2real.config.cell_file_tables import AttachedTrackerEntry, EmulatedTrackerEntry, GivenTrackerEntry
+from dual_ur10.sim2real.config.cell_file_tables import (
+    AttachedTrackerEntry,
+    EmulatedTrackerEntry,
+    GivenTrackerEntry,
+    OwnTrackerEntry,
+)
 from dual_ur10.sim2real.links.json_link import JsonLink
 from dual_ur10.sim2real.peripherals.object_placer import placer_of
-from dual_ur10.sim2real.peripherals.object_tracker import STALE_S, CameraTracker, Flanges, tracker_of
+from dual_ur10.sim2real.peripherals.object_tracker import (
+    STALE_S,
+    CameraTracker,
+    Flanges,
+    ObjectPose,
+    ObjectTracker,
+    trackers_of,
+)
 from dual_ur10.testing import VirtualCell
 from tests import waiting
 from tests.sim2real.links.fake_servers import serving
@@ -19,6 +33,10 @@ from tests.sim2real.links.fake_servers import serving
 HERE = "127.0.0.1"
 FLANGES = Flanges(
     np.array([[0.1, 0.2, 0.3], [-0.4, 0.5, 0.6]]), quat_from_rotvec([[0.1, 0.2, 0.3], [0.0, 0.0, math.pi / 2]])
+)
+CASE = Prop(
+    name="case",
+    mjcf="<mujoco><worldbody><body><body><joint name='lid'/><geom size='.1'/></body></body></worldbody></mujoco>",
 )
 AWAY = np.array([0.3, -0.2, 0.8])
 QUARTER = np.array([math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)])
@@ -32,8 +50,12 @@ def failure(tracker, clock):
     return ""
 
 
+def tracker_of(file, system, prop=BLOCK):
+    return trackers_of(file, (prop,), system)[prop.name]
+
+
 def tracked(file, entry, system):
-    return tracker_of(file.replace(tracker=entry), "block", system)
+    return tracker_of(file.replace(tracker=(entry,)), system)
 
 
 # Trackers without a camera.
@@ -42,7 +64,7 @@ def tracked(file, entry, system):
 @pytest.mark.parametrize("arm", [0, 1])
 def test_an_object_on_a_flange_moves_with_it(file, arm, system):
     entry = AttachedTrackerEntry(
-        arm=("left", "right")[arm], position_m=(0.0, 0.1, 0.2), rotation_rad=(0.0, 0.0, math.pi / 2)
+        prop="block", arm=("left", "right")[arm], position_m=(0.0, 0.1, 0.2), rotation_rad=(0.0, 0.0, math.pi / 2)
     )
     found = tracked(file, entry, system).pose(7.0, FLANGES)
     position, quat = FLANGES.position_m[arm], FLANGES.quat[arm]
@@ -52,7 +74,7 @@ def test_an_object_on_a_flange_moves_with_it(file, arm, system):
 
 
 def test_an_object_at_a_fixed_pose(file, system):
-    entry = GivenTrackerEntry(position_m=(0.1, 0.2, 0.3), rotation_rad=(0.0, 0.0, math.pi / 2))
+    entry = GivenTrackerEntry(prop="block", position_m=(0.1, 0.2, 0.3), rotation_rad=(0.0, 0.0, math.pi / 2))
     tracker = tracked(file, entry, system)
     found = tracker.pose(7.0, FLANGES)
     assert found.position_m.tolist() == [0.1, 0.2, 0.3]
@@ -64,21 +86,53 @@ def test_an_object_at_a_fixed_pose(file, system):
 
 
 def test_nothing_to_track(file, system):
-    assert tracker_of(file, "", system) is None
+    assert trackers_of(file, (), system) == {}
+    assert trackers_of(file.replace(emulator=None), (TARGET,), system) == {}  # its pose is that of the start
 
 
 def test_a_file_without_a_tracker(file, system):
-    with pytest.raises(CellFileError, match=r"handles a block.*\[tracker\].*\[emulator\]"):
-        tracker_of(file.replace(emulator=None), "block", system)
+    given = GivenTrackerEntry(prop="bar", position_m=(0.1, 0.2, 0.3), rotation_rad=(0.0, 0.0, 0.0))
+    bare = file.replace(emulator=None, tracker=(given,))
+    with pytest.raises(CellFileError, match=r"handles block, case, and .* they are: .*\[\[tracker\]\].*emulator"):
+        trackers_of(bare, (BAR, BLOCK, TARGET, CASE), system)
+    assert list(trackers_of(bare, (BAR, TARGET), system)) == ["bar"]
+
+
+class LidCamera(ObjectTracker):
+    """Tracker of a laboratory, which measures a joint, too."""
+
+    def __init__(self, prop, lid_rad=0.0):
+        self.prop, self.lid_rad = prop, lid_rad
+
+    def pose(self, now_s, flanges):
+        return ObjectPose(np.array([0.0, 0.1, 0.2]), QUARTER, now_s, {"lid": self.lid_rad})
+
+
+class NoTracker:
+    def __init__(self, prop):
+        self.prop = prop
+
+
+def test_a_tracker_of_ones_own(file, system):
+    entry = OwnTrackerEntry(prop="case", tracker=f"{__name__}:LidCamera", options="lid_rad=0.5")
+    tracker = trackers_of(file.replace(emulator=None, tracker=(entry,)), (CASE,), system)["case"]
+    assert (tracker.prop, tracker.pose(7.0, FLANGES).joints) == ("case", {"lid": 0.5})
+    for changes, text in (
+        ({"tracker": "no_such_module_here:X"}, "the tracker of the prop 'case', .* cannot be imported"),
+        ({"options": "colour=red"}, "cannot be made of the name of the prop and the options colour=red"),
+        ({"tracker": f"{__name__}:NoTracker", "options": ""}, "is no subclass of ObjectTracker"),
+    ):
+        with pytest.raises(SettingsError, match=text):
+            trackers_of(file.replace(emulator=None, tracker=(entry.replace(**changes),)), (CASE,), system)
 
 
 # The emulated camera.
 
 
 def test_the_camera_sees_where_the_object_was_placed(file, until, clock, system):
-    with placer_of(file, system) as placer, tracker_of(file, "block", system) as tracker:
+    with placer_of(file, system) as placer, tracker_of(file, system) as tracker:
         for x_m in (0.3, -0.1):
-            placer.place(np.array([x_m, -0.2, 0.8]), QUARTER)
+            placer.place("block", np.array([x_m, -0.2, 0.8]), QUARTER)
             placed_s = clock.now_s()
             found = until(lambda x_m=x_m: near(tracker.pose(clock.now_s(), FLANGES), x_m))
             assert abs(found.quat @ QUARTER) == pytest.approx(1.0, abs=1e-3)
@@ -93,7 +147,7 @@ def near(pose, x_m):
 
 def test_noise_and_delay_come_from_the_file(cell, file, clock, system):
     cell.ask("place", position_m=[0.3, 0.0, 0.0], quat=[1.0, 0.0, 0.0, 0.0])
-    entry = EmulatedTrackerEntry(noise_m=0.02, noise_rad=0.1, delay_s=0.2)
+    entry = EmulatedTrackerEntry(prop="block", noise_m=0.02, noise_rad=0.1, delay_s=0.2)
     with tracked(file, entry, system) as tracker:
         found = {}
         while len(found) < 40:
@@ -109,22 +163,22 @@ def test_noise_and_delay_come_from_the_file(cell, file, clock, system):
 def test_a_delay_that_makes_every_pose_too_old(file, system):
     assert STALE_S > 0.499
     with pytest.raises(SettingsError, match=r"delay_s is 0\.5: allowed is a number, 0 to 0\.499"):
-        tracked(file, EmulatedTrackerEntry().replace(delay_s=0.5), system)
+        tracked(file, EmulatedTrackerEntry(prop="block").replace(delay_s=0.5), system)
 
 
 def test_an_object_that_is_not_in_this_cell(file, system):
     with pytest.raises(LinkError, match=r"looking for 'bar'.*unknown body.*scene of this task"):
-        tracker_of(file, "bar", system)
+        tracker_of(file, system, BAR)
 
 
 def test_no_cell_there(file, system):
     entry = file.emulator.replace(port=1)
     with pytest.raises(LinkError, match=r"emulated camera at .*:1.*no connection"):
-        tracker_of(file.replace(emulator=entry), "block", system)
+        tracker_of(file.replace(emulator=entry), system)
 
 
 def test_a_cell_that_ends_is_reported_at_once():
-    with VirtualCell(task="Handover") as cell, tracker_of(cell.file, "block", cell.system) as tracker:
+    with VirtualCell(task="Handover") as cell, tracker_of(cell.file, cell.system) as tracker:
         clock = cell.clock
         tracker.pose(clock.now_s(), FLANGES)
         cell.ask("shutdown")
@@ -135,7 +189,7 @@ def test_a_cell_that_ends_is_reported_at_once():
 
 
 def test_a_cell_that_stalls_makes_poses_old(cell, file, clock, system):
-    with tracker_of(file, "block", system) as tracker:
+    with tracker_of(file, system) as tracker:
         last = tracker.pose(clock.now_s(), FLANGES)
         cell.stall("emulated cell", 1.0)
         clock.sleep(STALE_S)
@@ -166,7 +220,7 @@ def test_answers_that_are_no_pose(value):
         connection.sendall(json.dumps({"ok": True, "value": value}).encode() + b"\n")
 
     with serving(talk) as port, pytest.raises(LinkError, match=r"emulated camera.*expected") as found:
-        CameraTracker(JsonLink("emulated camera", HERE, port), "block", EmulatedTrackerEntry())
+        CameraTracker(JsonLink("emulated camera", HERE, port), "block", EmulatedTrackerEntry(prop="block"))
     assert len(str(found.value)) < 500
 
 
@@ -176,14 +230,14 @@ def test_answers_that_are_no_pose(value):
 def test_an_object_that_cannot_be_placed(file, system):
     with placer_of(file, system) as placer:
         with pytest.raises(EmulatorError, match=r"not placed: .*allowed are"):
-            placer.place((99.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
-        placer.place((0.3, 0.0, 0.8), (1.0, 0.0, 0.0, 0.0))  # the connection goes on
+            placer.place("block", (99.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+        placer.place("block", (0.3, 0.0, 0.8), (1.0, 0.0, 0.0, 0.0))  # the connection goes on
 
 
 def test_a_placer_that_does_not_answer(file, system):
     gone = file.replace(emulator=file.emulator.replace(port=1))
     with placer_of(gone, system) as placer, pytest.raises(EmulatorError, match=r"object placer at .*:1: no connection"):
-        placer.place((0.3, 0.0, 0.8), (1.0, 0.0, 0.0, 0.0))
+        placer.place("block", (0.3, 0.0, 0.8), (1.0, 0.0, 0.0, 0.0))
 
 
 def test_a_cell_whose_objects_a_person_places(file, system):

@@ -8,6 +8,8 @@ import pytest
 from dual_ur10 import ENV_IDS
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.sim.mujoco_cell import MujocoCell
+from dual_ur10.errors import UnknownNameError
+from dual_ur10.kinematics.poses import Poses
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.runtime.mirror_model import MirrorModel
@@ -37,15 +39,20 @@ def moving(cell, start, periods=6):
 def shown(mirror, state):
     """Return the mirror's state from the measurements of a state."""
     gripped = state.gripper_m is not None
-    thing = None if state.object_m is None else (state.object_m[0], state.object_quat[0])
-    mirror.aim(None if state.target_m is None else (state.target_m[0], state.target_quat[0]))
+    mirror.place({name: Poses(pose.position_m[0], pose.quat[0]) for name, pose in state.objects.items()})
     more = {"gripper_m": state.gripper_m[0], "wrench": state.wrench[0]} if gripped else {}
-    return mirror.follow(float(state.time_s[0]), state.q_rad[0], state.qd_rad_s[0], thing=thing, **more)
+    return mirror.follow(float(state.time_s[0]), state.q_rad[0], state.qd_rad_s[0], **more)
 
 
 def assert_equal(found, expected):
+    assert set(found.objects) == set(expected.objects)
+    for name, pose in expected.objects.items():
+        for part, other in zip(pose, found.objects[name], strict=True):
+            np.testing.assert_allclose(other, part, atol=1e-13, rtol=0, err_msg=name)
     for field, value in expected._asdict().items():
         other = getattr(found, field)
+        if field in ("objects", "joints"):
+            continue
         if value is None:
             assert other is None, field
             continue
@@ -72,28 +79,33 @@ def test_returned_states_do_not_change(name):
     mirror = MirrorModel(cell.config.scene)
     states = moving(cell, start)
     first = shown(mirror, next(states))
-    kept = [None if each is None else each.copy() for each in first]
+    arrays = [
+        each for each in (*first, *(part for pose in first.objects.values() for part in pose)) if each is not None
+    ]
+    arrays = [each for each in arrays if isinstance(each, np.ndarray)]
+    kept = [each.copy() for each in arrays]
     for state in states:
         shown(mirror, state)
-    for value, copy in zip(first, kept, strict=True):
-        assert value is copy is None or (value == copy).all()
+    for value, copy in zip(arrays, kept, strict=True):
+        assert (value == copy).all()
     cell.close()
 
 
-def test_without_object_and_target_it_returns_none():
+def test_props_stay_where_an_episode_begins():
     cell, start = simulated("Handover")
     state = cell.reset(start).state
     mirror = MirrorModel(cell.config.scene)
-    shown(mirror, state)
-    mirror.aim(None)
-    found = mirror.follow(
-        1.5, state.q_rad[0], state.qd_rad_s[0], gripper_m=state.gripper_m[0], wrench=state.wrench[0], thing=None
-    )
-    assert (found.object_m, found.object_quat, found.target_m, found.target_quat) == (None,) * 4
+    mirror.start(start)
+    found = mirror.follow(1.5, state.q_rad[0], state.qd_rad_s[0], gripper_m=state.gripper_m[0], wrench=state.wrench[0])
+    for name in ("block", "target"):
+        assert np.array_equal(np.concatenate(found.objects[name], axis=1), start.objects[name])
+    mirror.start(start._replace(objects={}))
+    back = mirror.follow(1.5, state.q_rad[0], state.qd_rad_s[0]).objects["block"]
+    assert np.concatenate(back, axis=1).tolist() == [[0, 0, 0.02, 1, 0, 0, 0]]  # where the MJCF has it
     assert found.time_s.tolist() == [1.5]
-    assert found.gripper_m.shape == (1, 2)
-    assert found.wrench.shape == (1, 2, 6)
     assert not found.failed.any()
+    with pytest.raises(UnknownNameError, match="'brick': use one of 'block', 'target'"):
+        mirror.start(start._replace(objects={"brick": start.objects["block"]}))
 
 
 @pytest.mark.parametrize("name", TASKS)

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from dual_ur10.assets.gripper import OPENING_M, TCP_M
-from dual_ur10.assets.props import BLOCK_SIZE_M
+from dual_ur10.assets.props import BLOCK, BLOCK_SIZE_M, TARGET
 from dual_ur10.assets.settings import Equipment, home_q_rad
 from dual_ur10.envs.tasks.agent_observations import AgentObservations
 from dual_ur10.envs.tasks.handover.goals import agent_observations, goals
@@ -281,7 +281,7 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
     @classmethod
     def requirements(cls, settings: HandoverSettings) -> SceneRequirements:
         """Return the requirements: two grippers and the block."""
-        equipment = Equipment(grippers=True, prop="block", grip_force_n=settings.grip_force_n)
+        equipment = Equipment(grippers=True, props=(BLOCK, TARGET), grip_force_n=settings.grip_force_n)
         return SceneRequirements(equipment, 0.002, "stiff", PICKING)
 
     def start(self, rows: Rows, rngs: Sequence[np.random.Generator]) -> Start:
@@ -303,15 +303,13 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         return Start(
             np.broadcast_to(home_q_rad((self.cell.left, self.cell.right)), (len(rows), 2, 6)).copy(),
             np.full((len(rows), 2), OPENING_M),
-            np.concatenate(block, axis=1),
-            np.concatenate(target, axis=1),
-            {"object": where, "target": wanted, "giver": giver},
+            objects={"block": np.concatenate(block, axis=1), "target": np.concatenate(target, axis=1)},
+            sampled={"object": where, "target": wanted, "giver": giver},
         )
 
     def measure(self, state: CellState) -> HandoverMeasured:
         """Compute the poses of all cells."""
-        parts = state.object_m, state.object_quat, state.target_m, state.target_quat
-        poses = np.concatenate([required(part) for part in parts], axis=1)
+        poses = np.concatenate([*state.objects["block"], *state.objects["target"]], axis=1)
         return HandoverMeasured(poses, self._grasps(state, poses))
 
     def observe(self, state: CellState, measured: HandoverMeasured, commanded_q_rad: Array) -> Array:

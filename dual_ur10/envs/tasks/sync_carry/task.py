@@ -9,7 +9,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from dual_ur10.assets.gripper import OPENING_M
-from dual_ur10.assets.props import BAR_MASS_KG, BAR_WIDTH_M
+from dual_ur10.assets.props import BAR, BAR_MASS_KG, BAR_WELDS, BAR_WIDTH_M
 from dual_ur10.assets.settings import Equipment, home_q_rad
 from dual_ur10.envs.tasks.agent_observations import AgentObservations
 from dual_ur10.envs.tasks.holding import APPROACH_M, PICKING, Grasped, Grasps, flanges_of, required
@@ -273,7 +273,12 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
     @classmethod
     def requirements(cls, settings: CarrySettings) -> SceneRequirements:
         """Return the requirements: two grippers and the bar. A friction grip needs a physics step of 1 ms."""
-        equipment = Equipment(grippers=True, prop="bar", welded=settings.rigid, grip_force_n=settings.grip_force_n)
+        equipment = Equipment(
+            grippers=True,
+            props=(BAR,),
+            welds=BAR_WELDS if settings.rigid else (),
+            grip_force_n=settings.grip_force_n,
+        )
         return SceneRequirements(equipment, 0.002 if settings.rigid else 0.001, "compliant", PICKING)
 
     def start(self, rows: Rows, rngs: Sequence[np.random.Generator]) -> Start:
@@ -298,13 +303,14 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         for values in (self._count, self._declared, self._load, self._worst_slip, self._squares, self._carried):
             values[rows] = 0
         opening = None if settings.rigid else np.full((len(rows), 2), OPENING_M)
-        return Start(np.stack(configurations, axis=1), opening, np.concatenate(bar, axis=1), None, {"object": where})
+        objects = {"bar": np.concatenate(bar, axis=1)}
+        return Start(np.stack(configurations, axis=1), opening, objects, sampled={"object": where})
 
     def measure(self, state: CellState) -> CarryMeasured:
         """Compute poses, references and forces of all cells."""
         clock = (state.time_s[:, None] + self._when - self._grasp_s) * self._rate
         poses = np.empty((self.n, 3, 7))
-        poses[:, 0, :3], poses[:, 0, 3:] = required(state.object_m), required(state.object_quat)
+        poses[:, 0, :3], poses[:, 0, 3:] = state.objects["bar"]
         poses[:, 1:, :3], poses[:, 1:, 3:] = self._path(clock, self._bar)
         flat = poses.reshape(self.n, 21)
         grasped = self._grasps(state, flat)

@@ -93,7 +93,9 @@ def test_the_installed_wheel_works(wheel, tmp_path):
         "env = gymnasium.make('DualUR10/SineTracking-v0')\n"
         "env.reset(seed=0)\n"
         "env.step(env.action_space.sample())\n"
-        "from importlib.metadata import version\n"
+        "from importlib.metadata import entry_points, version\n"
+        "(script,) = entry_points(group='console_scripts', name='ur-emulator')\n"
+        f"assert pathlib.Path(script.load().__code__.co_filename).is_relative_to({str(target)!r})\n"
         "assert dual_ur10.__version__ == version('dual-ur10')\n"
     )
     environment = {"PYTHONPATH": str(target), "PATH": "/usr/bin:/bin", "HOME": str(tmp_path)}

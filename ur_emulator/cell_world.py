@@ -1,4 +1,4 @@
-"""World of two emulated controllers: a cell of `dual_ur10`, with the scene of a task or without, in MuJoCo.
+"""SimulatedWorld of two emulated controllers: a cell of `dual_ur10`, with the scene of a task or without, in MuJoCo.
 
 The only module of the emulator that imports `dual_ur10.envs`, and it is loaded for cells alone: a controller by itself
 has `lone_arm`.
@@ -31,7 +31,7 @@ from ur_emulator.world import Delay, Hand, PlantOptions
 
 
 class CellWorld:
-    """Two arms on a table, or the cell of a task; see `World`.
+    """Two arms on a table, or the cell of a task; see `SimulatedWorld`.
 
     Args:
         config: Nominal cell.
@@ -80,16 +80,16 @@ class CellWorld:
 
     @property
     def failed(self) -> bool:
-        """See `World`."""
+        """See `SimulatedWorld`."""
         return bool(self._physics.failed[0])
 
     @property
     def has_object(self) -> bool:
-        """See `World`."""
+        """See `SimulatedWorld`."""
         return any(each.free for each in self.config.equipment.props)
 
     def read(self, arm: int) -> ArmReading:
-        """See `World`."""
+        """See `SimulatedWorld`."""
         state = self._state
         wrench = np.zeros(6) if state.wrench is None else state.wrench[0, arm]
         return ArmReading(
@@ -107,7 +107,7 @@ class CellWorld:
         payloads_kg: Sequence[float],
         torques: Sequence[JointTorques | None] = (None, None),
     ) -> None:
-        """See `World`."""
+        """See `SimulatedWorld`."""
         motion = self._motion
         for arm, (delay, plan, torque) in enumerate(zip(self._delays, plans, torques, strict=True)):
             joints, delayed = slice(6 * arm, 6 * arm + 6), delay(plan, free=torque is not None)
@@ -127,7 +127,7 @@ class CellWorld:
         self._state = self._physics.state(self._elapsed, moved=True)
 
     def pose(self, body: str) -> tuple[Array, Array]:
-        """See `World`."""
+        """See `SimulatedWorld`."""
         model = self._physics.model
         props = {each.name: each.body for each in self.config.equipment.props}
         names = [model.body(index).name for index in range(1, model.nbody)]
@@ -137,23 +137,23 @@ class CellWorld:
         return self._positions[0, index].copy(), self._orientations[0, index].copy()
 
     def joints(self, prop: str) -> dict[str, float]:
-        """See `World`."""
+        """See `SimulatedWorld`."""
         names = [joint for each in self.config.equipment.props if each.name == prop for joint in each.joints]
         return {name: float(self._state.joints[name][0]) for name in names}
 
     def place(self, pose: Array, prop: str = "") -> None:
-        """See `World`."""
+        """See `SimulatedWorld`."""
         free = [each.name for each in self.config.equipment.props if each.free]
         if not prop and len(free) != 1:
             raise SettingsError(f"name one of the objects of this cell: {', '.join(free) or 'there is none'}")
         self._physics.place(prop or free[0], pose)
 
     def push(self, arm: int, wrench: Array, duration_s: float) -> None:
-        """See `World`."""
+        """See `SimulatedWorld`."""
         self._hands[arm] = Hand(np.array(wrench, dtype=np.float64), round(duration_s / self.tick_s))
 
     def draw(self) -> tuple[Any, Any]:
-        """See `World`."""
+        """See `SimulatedWorld`."""
         return self._physics.model_and_data(0)
 
 

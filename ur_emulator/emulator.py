@@ -38,7 +38,7 @@ from ur_emulator.profile import profile_for, profile_of, profile_of_version
 from ur_emulator.program_files import script_texts
 from ur_emulator.robotiq import RobotiqGripper
 from ur_emulator.sockets import Hub
-from ur_emulator.world import PlantOptions, World
+from ur_emulator.world import PlantOptions, SimulatedWorld
 
 if TYPE_CHECKING:
     from dual_ur10.envs.rendering.viewer import Viewer
@@ -138,7 +138,7 @@ class Emulator:
     ) -> None:
         self._system, self._clock = system, system.clock
         self.options = options
-        self.world: World = _world_of(options, config)
+        self.world: SimulatedWorld = _world_of(options, config)
         self.tick_s = self.world.tick_s
         self._period_s = self.tick_s * (1.0 + 1e-6 * options.drift_ppm)
         self.due_s = self._clock.now_s()
@@ -314,7 +314,7 @@ def _due(emulator: Emulator) -> float:
     return emulator.due_s
 
 
-def _world_of(options: EmulatorOptions, config: CellConfig | None) -> World:
+def _world_of(options: EmulatorOptions, config: CellConfig | None) -> SimulatedWorld:
     """Return the world of the arms that options name."""
     plant = PlantOptions(plant=options.plant, seed=options.seed, dh_error_m=options.dh_error_m)
     if not options.alone:

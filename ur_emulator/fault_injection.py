@@ -26,7 +26,7 @@ from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply
 from ur_emulator.arm_server import ArmServer, RtdePeer
 from ur_emulator.link_faults import MAX_LATE_S, LinkFaults
-from ur_emulator.world import World
+from ur_emulator.world import SimulatedWorld
 
 _MAX_DELAY_S: Final = 2.0
 _MAX_DISTANCE_M: Final = 10.0
@@ -67,7 +67,7 @@ class CellUnderTest(Protocol):
         ...
 
     @property
-    def world(self) -> World:
+    def world(self) -> SimulatedWorld:
         """Simulation of the arms."""
         ...
 

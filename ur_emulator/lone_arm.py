@@ -1,4 +1,4 @@
-"""World of one emulated controller: its arm by itself in MuJoCo, at home, without a table or anything else."""
+"""SimulatedWorld of one emulated controller: its arm by itself in MuJoCo, at home, without a table or anything else."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ DEVIATIONS: Final = {
 
 
 class LoneArm:
-    """One arm, whose base is the origin; see `World`.
+    """One arm, whose base is the origin; see `SimulatedWorld`.
 
     Its servos follow the reference motion by the inverse dynamics of the nominal arm: with a nominal plant exactly.
 
@@ -118,7 +118,7 @@ class LoneArm:
         self._rendered: tuple[Any, Any] | None = None
 
     def read(self, arm: int) -> ArmReading:
-        """See `World`."""
+        """See `SimulatedWorld`."""
         data = self._data
         return ArmReading(
             data.qpos.copy(), data.qvel.copy(), data.qfrc_actuator.copy(), np.zeros(6) + self._hand.wrench, None
@@ -131,7 +131,7 @@ class LoneArm:
         payloads_kg: Sequence[float],
         torques: Sequence[JointTorques | None],
     ) -> None:
-        """See `World`. A payload that is set has no effect: nothing is attached to the flange."""
+        """See `SimulatedWorld`. A payload that is set has no effect: nothing is attached to the flange."""
         (plan,), (torque,) = plans, torques
         control = self._control(self._delay(plan, free=torque is not None))
         self._torque(control, None if torque is None else Torques(torque.torque_nm, 1.0 - torque.coulomb_scale))
@@ -161,7 +161,7 @@ class LoneArm:
         mujoco.mj_getState(model, data, self._good, _STATE)
 
     def pose(self, body: str) -> tuple[Array, Array]:
-        """See `World`. Bodies are those of the arm, such as `wrist_3_link`."""
+        """See `SimulatedWorld`. Bodies are those of the arm, such as `wrist_3_link`."""
         model, data, prefix = self._model, self._data, f"{ARMS[0]}/"
         names = [model.body(index).name.removeprefix(prefix) for index in range(2, model.nbody)]
         if body not in names:
@@ -171,19 +171,19 @@ class LoneArm:
         return data.xpos[index].copy(), data.xquat[index].copy()
 
     def joints(self, prop: str) -> dict[str, float]:
-        """See `World`."""
+        """See `SimulatedWorld`."""
         return {}
 
     def place(self, pose: Array, prop: str = "") -> None:
-        """See `World`."""
+        """See `SimulatedWorld`."""
         raise SettingsError("a controller by itself has no object to place: emulate a cell with the scene of a task")
 
     def push(self, arm: int, wrench: Array, duration_s: float) -> None:
-        """See `World`."""
+        """See `SimulatedWorld`."""
         self._hand = Hand(np.array(wrench, dtype=np.float64), round(duration_s / self.tick_s))
 
     def draw(self) -> tuple[Any, Any]:
-        """See `World`."""
+        """See `SimulatedWorld`."""
         if self._rendered is None:
             model = _model_of(self._true, visuals=True)
             self._rendered = model, mujoco.MjData(model)

@@ -55,7 +55,7 @@ class PlantOptions:
         return dataclasses.replace(nominal, dh=dataclasses.replace(nominal.dh, a_m=tuple(a_m), d_m=tuple(d_m)))
 
 
-class World(Protocol):
+class SimulatedWorld(Protocol):
     """Simulated arms, advanced by one control period at a time.
 
     Attributes:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import logging
 from typing import Annotated
 
 import typer
 
-from dual_ur10.cli.options import ArmFamily, Left, Right, console
+from dual_ur10.cli.options import ArmFamily, Left, Right
+from ur_emulator.cli import DhError, Plant, Polyscope, Powered, Programs, Seed, View, log_warnings, serve
 
 
 def emulate(
@@ -22,13 +22,7 @@ def emulate(
             "e-Series.",
         ),
     ] = None,
-    polyscope: Annotated[
-        str | None,
-        typer.Option(
-            "--polyscope",
-            help="PolyScope version of the controllers, such as 5.26. Default: 3.15, or 5.12 of the e-Series.",
-        ),
-    ] = None,
+    polyscope: Polyscope = None,
     task: Annotated[
         str | None,
         typer.Option(
@@ -41,26 +35,17 @@ def emulate(
         str | None,
         typer.Option("--cell", help="Write a cell file, for programs that connect."),
     ] = None,
-    plant: Annotated[
-        str, typer.Option("--plant", help="Deviation of the arms from the nominal model: nominal, mild or wide.")
-    ] = "mild",
-    dh_error: Annotated[
-        float, typer.Option("--dh-error-mm", min=0.0, help="Largest error of the arms' kinematics, in mm.")
-    ] = 0.0,
-    seed: Annotated[int, typer.Option("--seed", help="Seed of the plant, a task's start, and random faults.")] = 0,
-    programs: Annotated[
-        str | None,
-        typer.Option("--programs", help="Folder of programs (NAME.script) that the dashboard's load finds."),
-    ] = None,
-    powered: Annotated[
-        bool, typer.Option("--powered/--powered-off", help="Start with the arms powered on, or off.")
-    ] = True,
-    view: Annotated[bool, typer.Option("--view", help="Show the cell in a browser on this machine.")] = False,
+    plant: Plant = "mild",
+    dh_error: DhError = 0.0,
+    seed: Seed = 0,
+    programs: Programs = None,
+    powered: Powered = True,
+    view: View = False,
 ) -> None:
     """Run two emulated UR controllers on this machine, with simulated arms behind them, until Ctrl-C."""
     from ur_emulator.emulator import Emulator, EmulatorOptions
 
-    logging.basicConfig(level=logging.WARNING, format="%(asctime)s %(name)s: %(message)s")
+    log_warnings()
     options = EmulatorOptions(
         left=left,
         right=right,
@@ -77,17 +62,5 @@ def emulate(
         programs=programs,
     )
     emulator = Emulator(options)
-    try:
-        hosts = [server.host for server in emulator.servers]
-        console.print(f"left  [bold cyan]{hosts[0]}[/]\nright [bold cyan]{hosts[1]}[/]", highlight=False)
-        port = emulator.description()["emulator"]["port"]
-        console.print(f"fault injection {hosts[0]}:{port}" + (f"\ncell file {cell}" if cell else ""), highlight=False)
-        if emulator.url:
-            console.print(f"the viewer is at [bold cyan]{emulator.url}[/] for browsers on this machine", soft_wrap=True)
-        models = " and ".join(dict.fromkeys(server.controller.profile.model for server in emulator.servers))
-        console.print(f"emulated {models} controllers, not real ones. Ctrl-C ends them", style="dim")
-        emulator.run()
-    except KeyboardInterrupt:
-        console.print("ended")
-    finally:
-        emulator.close()
+    hosts = [server.host for server in emulator.servers]
+    serve([emulator], title=f"left  [bold cyan]{hosts[0]}[/]\nright [bold cyan]{hosts[1]}[/]\n")

@@ -16,6 +16,9 @@ from typing import Any, Final
 INTERRUPTED: Final = 130
 """Exit code after Ctrl-C, as in shells."""
 
+PROGRAMS: Final = {"dual_ur10": "dual-ur10", "ur_emulator": "ur-emulator"}
+"""Names of the command lines, by package."""
+
 CHILD: Final = "dual_ur10.sim2real.processes.child_process"
 """Main module of the child processes of a cell."""
 
@@ -43,9 +46,11 @@ def is_child() -> bool:
 
 
 def _is_program() -> bool:
-    """Return True if the command line is being loaded: `-m` is its first argument while Python looks for modules."""
+    """Return True if a command line is being loaded: `-m` is its first argument while Python looks for modules."""
     begun = sys.argv[0] if sys.argv else ""
-    return (begun == "-m" and "dual_ur10" in sys.orig_argv) or os.path.basename(begun) == "dual-ur10"
+    return (begun == "-m" and not PROGRAMS.keys().isdisjoint(sys.orig_argv)) or (
+        os.path.basename(begun) in PROGRAMS.values()
+    )
 
 
 @contextlib.contextmanager

@@ -131,23 +131,6 @@ def pytest_configure(config: pytest.Config) -> None:
         config.addinivalue_line("markers", f"{name}(**options): options of the cell: task, family, plant, ...")
 
 
-def options_of(request: pytest.FixtureRequest, marked: str) -> dict[str, Any]:
-    """Return options of a test's cell, from its markers, the nearest last, and from its parameter.
-
-    Raises:
-        SettingsError: A marker has values without names, or the parameter is no mapping.
-    """
-    options: dict[str, Any] = {}
-    for marker in reversed(list(request.node.iter_markers(marked))):
-        if marker.args:
-            raise SettingsError(f"the marker {marked} has {marker.args!r}: name each option, as in task='Handover'")
-        options.update(marker.kwargs)
-    given = getattr(request, "param", None) or {}
-    if not isinstance(given, dict):
-        raise SettingsError(f"the parameter of {marked} is {given!r}: it must be a dict of options")
-    return {**options, **given}
-
-
 if importlib.util.find_spec("pytest") is not None:
     import pytest
 
@@ -158,13 +141,16 @@ if importlib.util.find_spec("pytest") is not None:
         Its options come from `@pytest.mark.emulated_cell(task="Handover", family="e-series")`, or from a parameter:
         `@pytest.mark.parametrize("emulated_cell", [{"task": "SyncCarry"}], indirect=True)`.
         """
-        with CellForTests(tmp_path, **options_of(request, "emulated_cell")) as cell:
+        from ur_emulator.testing import options_of  # late: pytest loads plugins itself
+
+        with CellForTests(tmp_path, **options_of(request, "emulated_cell", "task='Handover'")) as cell:
             yield cell
 
     @pytest.fixture
     def virtual_cell(request: pytest.FixtureRequest) -> Iterator[VirtualCell]:
         """Run a virtual cell for one test. Its options come from `@pytest.mark.virtual_cell(...)` or a parameter."""
+        from ur_emulator.testing import options_of
         from ur_emulator.virtual.virtual_cell import VirtualCell
 
-        with VirtualCell(**options_of(request, "virtual_cell")) as cell:
+        with VirtualCell(**options_of(request, "virtual_cell", "task='Handover'")) as cell:
             yield cell

@@ -50,7 +50,8 @@ def pytest_runtest_setup(item):
         np.random.bit_generator.randbits = random.Random(0).getrandbits
 
 
-_STARTERS = {"EmulatedCell", "CellForTests", "Lab", "emulated_cell", "measure_emulated"}
+_STARTERS = {"EmulatedCell", "CellForTests", "EmulatedController", "Lab", "measure_emulated"}
+_STARTERS |= {"emulated_cell", "ur_controller"}
 """Names of what starts emulated controllers."""
 
 

@@ -1,4 +1,4 @@
-"""Emulated cell in a process of its own."""
+"""Emulated controllers in a process of their own: the two of a cell, or one by itself."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import IO, Any, Final
 
 from dual_ur10 import errors
-from dual_ur10.errors import DualUR10Error, EmulatorError
+from dual_ur10.errors import DualUR10Error, EmulatorError, SettingsError
 from dual_ur10.sim2real.links.json_link import JsonLink
 from dual_ur10.sim2real.processes.system import LOCAL
 from ur_emulator.cell_requests import CellRequests
@@ -23,19 +24,20 @@ _START_S: Final = 30.0
 _END_S: Final = 5.0
 
 
-class EmulatedCell(CellRequests):
-    """Two emulated controllers and their simulated arms, for the duration of a `with` block.
+class EmulatorProcess(CellRequests):
+    """Process of emulated controllers and their simulated arms, for the duration of a `with` block.
 
-    They run in a process of their own, because constructors of `ur_rtde` hold Python's global lock while they wait for
+    They have a process of their own, because constructors of `ur_rtde` hold Python's global lock while they wait for
     answers: a controller in the same process could not answer them.
 
     Args:
-        log: Log file of the cell; None keeps the log until the cell is closed.
+        log: Log file; None keeps the log until the process is closed.
         options: See `ur_emulator.emulator.EmulatorOptions`.
 
     Attributes:
-        left, right: Addresses of the controllers.
-        port: Fault-injection port, at the left controller's address.
+        process: The process.
+        hosts: Address of each controller, by its name.
+        port: Fault-injection port, at the first controller's address.
         description: Content of the cell file.
 
     Raises:
@@ -44,7 +46,7 @@ class EmulatedCell(CellRequests):
         DualUR10Error: An option is invalid.
     """
 
-    def __init__(self, *, log: str | Path | None = None, **options: Any) -> None:
+    def __init__(self, log: str | Path | None, options: Mapping[str, Any]) -> None:
         # The other process writes and this one reads. Appending keeps the write position independent of reads.
         if log is None:
             self._log: IO[str] = tempfile.TemporaryFile("a+")  # noqa: SIM115  # closed with the cell
@@ -63,10 +65,11 @@ class EmulatedCell(CellRequests):
         self.clock = LOCAL.clock
         with self.closed_on_error():
             self.description = self._started()
-            self.left: str = self.description["left"]["host"]
-            self.right: str = self.description["right"]["host"]
+            self.hosts: dict[str, str] = {
+                name: each["host"] for name, each in self.description.items() if "host" in each
+            }
             self.port: int = self.description["emulator"]["port"]
-            self._injection = JsonLink("fault injection", self.left, self.port)
+            self._injection = JsonLink("fault injection", next(iter(self.hosts.values())), self.port)
 
     def _started(self) -> dict[str, Any]:
         stdout = self.process.stdout
@@ -77,7 +80,9 @@ class EmulatedCell(CellRequests):
         except ValueError:
             code = self.process.poll()
             what = f"gave no answer within {_START_S:g} s" if code is None else f"ended with code {code}"
-            raise EmulatorError(f"the process of the emulated cell {what}; its log ends: {self.log_tail()}") from None
+            raise EmulatorError(
+                f"the process of the emulated controllers {what}; its log ends: {self.log_tail()}"
+            ) from None
         if "error" in answer:
             kind = getattr(errors, answer["error"], EmulatorError)
             if not issubclass(kind, DualUR10Error) or kind is errors.UnknownNameError:
@@ -86,7 +91,7 @@ class EmulatedCell(CellRequests):
         return answer
 
     def log_tail(self, characters: int = 2000) -> str:
-        """Return the end of the cell's log."""
+        """Return the end of the log."""
         self._log.seek(0)
         return self._log.read()[-characters:].strip()
 
@@ -104,3 +109,59 @@ class EmulatedCell(CellRequests):
             self.process.kill()
             self.process.wait()
         self._log.close()
+
+
+class EmulatedCell(EmulatorProcess):
+    """Two emulated controllers and their simulated arms, for the duration of a `with` block.
+
+    Args:
+        log: Log file of the cell; None keeps the log until the cell is closed.
+        options: See `ur_emulator.emulator.EmulatorOptions`; without `alone`.
+
+    Attributes:
+        left, right: Addresses of the controllers.
+
+    Raises:
+        DualUR10Error: See `EmulatorProcess`.
+    """
+
+    def __init__(self, *, log: str | Path | None = None, **options: Any) -> None:
+        if options.get("alone"):
+            raise SettingsError("an emulated cell has two controllers: EmulatedController is one by itself")
+        super().__init__(log, options)
+        self.left, self.right = self.hosts.values()
+
+
+class EmulatedController(EmulatorProcess):
+    """One emulated controller, whose arm stands by itself, for the duration of a `with` block.
+
+        with EmulatedController("ur5e") as controller:
+            rtde = rtde_receive.RTDEReceiveInterface(controller.host)
+            controller.ask("stop", mode=3)
+
+    Args:
+        robot: Model of the arm, a name in `dual_ur10.kinematics.robots.ROBOTS`.
+        host: Loopback address; None finds a free one.
+        log: Log file; None keeps the log until the controller is closed.
+        options: Others of `ur_emulator.emulator.EmulatorOptions`, such as `plant`, `seed`, `polyscope` and `programs`.
+
+    Attributes:
+        host: Its address.
+
+    Raises:
+        DualUR10Error: See `EmulatorProcess`.
+    """
+
+    def __init__(
+        self, robot: str = "ur5e", *, host: str | None = None, log: str | Path | None = None, **options: Any
+    ) -> None:
+        super().__init__(log, {**options, "alone": True, "robot": robot, "left": host})
+        ((self.robot, self.host),) = self.hosts.items()
+
+    def wait_for(self, name: str, value: Any, within_s: float = 10.0) -> None:
+        """Wait until the controller reports this value of a variable, by RTDE name.
+
+        Raises:
+            EmulatorError: It did not in time.
+        """
+        self.wait_until(self.robot, name, value, within_s)

@@ -3,7 +3,6 @@ import pickle
 
 import numpy as np
 import pytest
-from dm_control.utils import rewards
 
 from dual_ur10 import errors
 from dual_ur10.envs.core.core import Core
@@ -25,6 +24,7 @@ from dual_ur10.sim2real.config.cell import CellConfig
 
 @pytest.mark.parametrize("margin", [0.005, 0.02])
 def test_gaussian_is_dm_controls_tolerance(margin):
+    rewards = pytest.importorskip("dm_control.utils.rewards")  # it has no wheels for Python 3.13
     distance = np.linspace(0, 0.1, 50)
     expected = rewards.tolerance(distance, bounds=(0, 0), margin=margin, sigmoid="gaussian", value_at_margin=0.1)
     assert np.allclose(gaussian(distance, margin), expected, atol=1e-12)

@@ -144,8 +144,10 @@ class CellWorld:
     def place(self, pose: Array, prop: str = "") -> None:
         """See `SimulatedWorld`."""
         free = [each.name for each in self.config.equipment.props if each.free]
-        if not prop and len(free) != 1:
-            raise SettingsError(f"name one of the objects of this cell: {', '.join(free) or 'there is none'}")
+        if not free:
+            raise SettingsError("this cell has no object to place")
+        if not prop and len(free) > 1:
+            raise SettingsError(f"prop is missing: name one of the objects of this cell, {', '.join(free)}")
         self._physics.place(prop or free[0], pose)
 
     def push(self, arm: int, wrench: Array, duration_s: float) -> None:

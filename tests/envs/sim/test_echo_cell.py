@@ -83,12 +83,25 @@ def test_speeds_are_those_of_the_positions(factor):
     [
         (ID, {"cell": CellConfig(kind="echo").with_perturbation(latency_s=0.01)}, "perturbation"),
         (ID, {"cell": "echo", "randomization": "mild"}, "randomization"),
-        ("DualUR10/SyncCarry-v0", {"cell": "echo"}, "nothing moves objects"),
     ],
 )
 def test_what_it_cannot_show_is_refused(env_id, keywords, words):
     with pytest.raises(SettingsError, match=words):
         gym.make(env_id, disable_env_checker=True, **keywords)
+
+
+def test_objects_stay_where_an_episode_begins():
+    env = gym.make("DualUR10/Handover-v0", cell="echo", disable_env_checker=True)
+    twin = gym.make("DualUR10/Handover-v0", disable_env_checker=True)
+    seen, wanted = env.reset(seed=5)[0], twin.reset(seed=5)[0]
+    split = env.unwrapped.task.layout.split
+    assert np.allclose(split(seen)["block_base_m"], split(wanted)["block_base_m"], atol=1e-9)
+    for _ in range(3):
+        observation, *_, info = env.step(env.action_space.sample())
+    assert np.array_equal(split(observation)["block_base_m"], split(seen)["block_base_m"])
+    assert info["state_is_commanded"]
+    env.close()
+    twin.close()
 
 
 def test_it_is_one_cell():

@@ -26,7 +26,8 @@ def begun(seed=0, **keywords):
 
 def put(core, position_m, quat=(1.0, 0.0, 0.0, 0.0)):
     """Put the block somewhere without an arm."""
-    core.cell._physics._handling._object[0] = [*position_m, *quat]
+    block = core.cell._physics._props.objects["block"]
+    block.position_m[0], block.quat[0] = position_m, quat
 
 
 def gripper(between=False, holds=False, opening=0.085, near=0.5, closes=False):
@@ -161,8 +162,8 @@ def test_fingers_that_close_before_they_are_there_earn_less():
 def test_a_block_that_only_lies_on_its_target_is_no_success():
     core, _ = begun()
     core.step(STAY)
-    handling = core.cell._physics._handling
-    put(core, handling._target[0][0], handling._target[1][0])
+    target = core.cell._physics._props.objects["target"]
+    put(core, target.position_m[0], target.quat[0])
     for _ in range(40):
         step = core.step(STAY)
         assert step.info["object_error_m"][0] < 0.002
@@ -174,11 +175,11 @@ def test_a_block_that_only_lies_on_its_target_is_no_success():
 def test_after_all_stages_the_block_must_settle():
     core, _ = begun()
     core.step(STAY)
-    handling = core.cell._physics._handling
+    target = core.cell._physics._props.objects["target"]
     core.task._stages.passed[:] = 6
-    put(core, handling._target[0][0] + [0.1, 0.0, 0.0], handling._target[1][0])
+    put(core, target.position_m[0] + [0.1, 0.0, 0.0], target.quat[0])
     assert core.step(STAY).info["stage"][0] == 6  # off the target
-    put(core, handling._target[0][0], handling._target[1][0])
+    put(core, target.position_m[0], target.quat[0])
     assert core.step(STAY).info["stage"][0] == 6  # it has just moved
     steps = 0
     while True:
@@ -196,7 +197,7 @@ def test_after_all_stages_the_block_must_settle():
 
 def test_the_direction_of_the_block_matters_but_not_its_upper_side():
     core, _ = begun()
-    target = core.cell._physics._handling._target[1][0]
+    target = core.cell._physics._props.objects["target"].quat[0]
     yaw = 2 * np.arctan2(target[3], target[0])
     for turn in (0.0, 0.4, np.pi):
         put(core, (0.0, 0.0, 0.5), laid_quat(np.array(yaw + turn)))  # it falls without turning

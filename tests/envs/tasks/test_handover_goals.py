@@ -78,7 +78,8 @@ def test_a_rotated_block_is_not_presented(giver, turned_rad, found_m):
     core, _ = begun(giver=["left", "right"][giver])
     core.step(np.zeros((1, 14), dtype=np.float32))
     turn = np.array([np.cos(turned_rad / 2), 0.0, 0.0, np.sin(turned_rad / 2)])
-    core.cell._physics._handling._object[0] = [*MEETING_M, *quat_multiply(turn, presented_quat(giver))]
+    block = core.cell._physics._props.objects["block"]
+    block.position_m[0], block.quat[0] = MEETING_M, quat_multiply(turn, presented_quat(giver))
     core.step(np.zeros((1, 14), dtype=np.float32))
     assert core.task._stages.facts[0, 11] == pytest.approx(found_m, abs=0.015)  # it falls for a moment
 

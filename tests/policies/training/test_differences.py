@@ -25,7 +25,8 @@ def made(refusals=0.0, **keywords):
 
 
 def put(env, cell, position_m):
-    env.cells.core.cell._physics._handling._object[cell] = [*position_m, 1.0, 0.0, 0.0, 0.0]
+    block = env.cells.core.cell._physics._props.objects["block"]
+    block.position_m[cell], block.quat[cell] = position_m, [1.0, 0.0, 0.0, 0.0]
 
 
 def stepped(plain, changed, action):
@@ -77,11 +78,11 @@ def test_a_finish_counts_for_the_time_that_is_left_and_at_most_for_ever(duration
     plain, changed = made(duration_s=duration_s)
     for env in (plain, changed):
         core = env.cells.core
-        handling = core.cell._physics._handling
+        objects = core.cell._physics._props.objects
         core.task._stages.passed[:] = 6
         core._refused[:] = refused
-        for cell in range(N):
-            handling._object[cell] = [*handling._target[0][cell], *handling._target[1][cell]]
+        for part, wanted in zip(objects["block"], objects["target"], strict=True):
+            part[:] = wanted
     left, state, over = round(duration_s / 0.04), None, np.zeros(2 * N, dtype=bool)
     while not over.any():
         before = state

@@ -160,10 +160,8 @@ bench: $(VENV)/.dev $(KERNEL)  ## all benchmarks, figures to out/*.json
 	@$(VENV)/bin/python benchmarks/external_control.py --json out/external_control.json
 	@$(VENV)/bin/python benchmarks/runner.py --json out/runner.json
 	@$(VENV)/bin/python benchmarks/virtual_cell.py --json out/virtual_cell.json
-	@$(VENV)/bin/python benchmarks/garbage.py --json out/garbage.json
 	@$(VENV)/bin/python benchmarks/calibration.py --json out/calibration.json
-	@$(VENV)/bin/python benchmarks/followers.py --with out/calibration.json --json out/followers.json
-	@$(VENV)/bin/python benchmarks/causes.py --json out/causes.json
+	@$(VENV)/bin/python benchmarks/followers.py --json out/followers.json
 	@$(VENV)/bin/python benchmarks/learning.py --json out/learning.json
 	@$(VENV)/bin/python benchmarks/collection.py --json out/collection.json
 

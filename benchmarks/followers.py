@@ -12,8 +12,6 @@ right flange in the left one's frame. `skew` is the difference of both arms' tim
 default is a virtual cell with the nominal plant: its figures are exact, and an artefact of an exact model. No real arm
 is in this.
 
-`repeatability_mm` is that of `python -m dual_ur10 repeatability`, on the same kind of cell with the mild plant.
-
     python benchmarks/followers.py --json followers.json
     python benchmarks/followers.py --cell emulated --plant mild
 """
@@ -34,8 +32,6 @@ from scipy.spatial.transform import Rotation
 
 from dual_ur10.assets.gripper import TCP_M
 from dual_ur10.assets.props import BAR_MASS_KG
-from dual_ur10.envs import make_follower
-from dual_ur10.envs.core.follower import home_of
 from dual_ur10.kinematics.forward import flange_pose
 from dual_ur10.kinematics.poses import Poses
 from dual_ur10.kinematics.ur10 import ARMS, NOMINAL_DH
@@ -46,17 +42,13 @@ from dual_ur10.sim2real.peripherals.grippers import Grippers
 from dual_ur10.sim2real.runtime.point_stream import PointStream
 from dual_ur10.sim2real.runtime.runner import Runner
 from dual_ur10.sim2real.trajectory.point_path import PointPath
-from dual_ur10.sim2real.trajectory.repeatability import returns, spread_of
 
 REST_S = 1.0  # of the observation, before and after
 GRIP_S = 1.5  # for closing
 SCRIPT_PORT = 30002
 MOVES_RAD_S = 1e-3
-RETURNS = 20
 ROWS = {"125hz": 125.0, "10hz": 10.0, "5hz": 5.0, "movej": 2.0}
 PATHS = ("single", "dual", "carry", "grasp")
-OF_OTHERS = ("calibrated_squeeze_n", "base_error_mm", "base_error_deg", "coverage_95")
-"""Figures that another benchmark measures: `merged` adds them."""
 
 Figures = dict[str, float]
 
@@ -298,16 +290,6 @@ def measured(make: Callable[[str, str], Any], plant: str, rate_hz: float, names:
     return found
 
 
-def repeatability_mm(make: Callable[[str, str], Any], paths: int = RETURNS) -> float:
-    """Return the repeatability by ISO 9283, of the worse arm."""
-    with make("SineTracking", "mild") as rig:
-        chosen = rig.file.source if make is emulated else rig.cell
-        with make_follower(chosen) as executor:
-            executor.start(home_of(chosen))
-            found = [executor.flanges_m(q_rad) for q_rad in returns(executor, paths, np.random.default_rng(0))]
-    return 1e3 * float(spread_of(np.stack(found)).iso_9283_m.max())
-
-
 def run(
     make: Callable[[str, str], Any], plant: str, rows: dict[str, float] = ROWS, names: Sequence[str] = PATHS
 ) -> dict[str, Any]:
@@ -323,31 +305,17 @@ def run(
     return found | {"paths": table}
 
 
-def merged(found: dict[str, Any], others: list[Path]) -> dict[str, Any]:
-    """Return the table: these rows, and the figures of other benchmarks from their files."""
-    table = dict(found)
-    for path in others:
-        values = json.loads(path.read_text())
-        table |= {name: values[name] for name in OF_OTHERS if name in values}
-    return table
-
-
 def main() -> None:
     """Measure, print and write the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cell", choices=("virtual", "emulated"), default="virtual")
     parser.add_argument("--plant", default="nominal", help="deviation of the plant from its model, such as mild")
-    parser.add_argument("--with", dest="others", type=Path, action="append", default=[], help="JSON with more figures")
     parser.add_argument("--json", type=Path, help="file to write")
     arguments = parser.parse_args()
     make = emulated if arguments.cell == "emulated" else virtual
     found = run(make, arguments.plant)
-    try:
-        found["repeatability_mm"] = repeatability_mm(make)
-        print(f"repeatability {found['repeatability_mm']:.4f} mm")
-    finally:  # a busy computer may stop emulated arms: the rows stay
-        if arguments.json is not None:
-            arguments.json.write_text(json.dumps(merged(found, arguments.others), indent=1) + "\n")
+    if arguments.json is not None:
+        arguments.json.write_text(json.dumps(found, indent=1) + "\n")
 
 
 if __name__ == "__main__":

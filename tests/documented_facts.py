@@ -12,6 +12,7 @@ ROOT = Path(__file__).parents[1]
 CARDS = "dual_ur10/policies/learned/learned_policies"
 README = "README.md"
 BENCHMARKS = "docs/reference/benchmarks.md"
+TRUE_ERRORS = "docs/decisions/true-errors-count.md"
 CALIBRATE = "docs/how-to/calibrate-the-bases.md"
 TRAIN = "docs/tutorials/train.md"
 TWO_ARMS = "docs/how-to/two-arms.md"
@@ -23,8 +24,8 @@ SOURCES = [
     (BENCHMARKS, r"^\| perturbed \| \S+ mm \| (?P<perturbed_rms>\S+) mm \| (?P<perturbed_angle>\S+)°"),
     (BENCHMARKS, r"^\*Random plants\*[^*]*\*\*(?P<carried>\d+ of \d+)\*\* episodes succeed"),
     (BENCHMARKS, r"^\| noisy \| (?P<handed>\d+ of \d+) \|[^|]*\| (?P<handed_s>\S+) /"),
-    (BENCHMARKS, r"^\| wide \| (?P<wide_script>\d+ of \d+) \|"),
-    (BENCHMARKS, r"^\| wide, bases and age as in mild \| \*\*(?P<wide_known>\d+ of \d+)\*\*"),
+    (TRUE_ERRORS, r"^\| wide \| (?P<wide_script>\d+ of \d+) \|"),
+    (TRUE_ERRORS, r"^\| wide, bases and age as in mild \| \*\*(?P<wide_known>\d+ of \d+)\*\*"),
     (BENCHMARKS, r'^SineTracking, "wide", default path: (?P<wide_learned>\d+) of 300 each'),
     (
         BENCHMARKS,

@@ -17,7 +17,7 @@ from dual_ur10.cli.doctor import doctor
 from dual_ur10.cli.emulate import emulate
 from dual_ur10.cli.evaluate import evaluate
 from dual_ur10.cli.fit import fit
-from dual_ur10.cli.follow import follow
+from dual_ur10.cli.follow import follow, follow_points, follow_serial
 from dual_ur10.cli.list import list_environments
 from dual_ur10.cli.options import console, errors
 from dual_ur10.cli.repeatability import repeatability
@@ -71,7 +71,20 @@ def _options(
 
 app.command("list")(list_environments)
 _COMMANDS = (
-    *(demo, rollout, follow, teach, repeatability, view, evaluate, train, collect, convert),
+    *(
+        demo,
+        rollout,
+        follow,
+        follow_points,
+        follow_serial,
+        teach,
+        repeatability,
+        view,
+        evaluate,
+        train,
+        collect,
+        convert,
+    ),
     *(emulate, doctor, status, replay, compare, fit),
 )
 for command in _COMMANDS:

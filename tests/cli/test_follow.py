@@ -118,31 +118,41 @@ def test_a_dry_run_has_no_errors(file):
 def test_arms_on_a_serial_line_follow_and_say_that_nothing_measures_them(tmp_path):
     there = str(write_trajectory(tmp_path / "there.csv", trajectory(duration_s=0.3, size_rad=0.05)))
     with serial_port(SerialFirmware(device=77)) as port:
-        code, text = run("follow", there, "--serial", port)
+        code, text = run("follow-serial", there, "--port", port)
         assert code == follow.NOT_REACHED
         assert "rejected, INVALID_GOAL (-1)" in text
         assert "--at-start" in text
-        code, text = run("follow", there, "--serial", port, "--at-start", "--scaling", "0.5")
+        code, text = run("follow-serial", there, "--port", port, "--at-start", "--scaling", "0.5")
     assert code == 0
     assert "succeeded, SUCCESSFUL (0)" in text
     assert "nothing measures" in text
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("command", "options", "words"),
     [
-        (["--at-start"], "--serial"),
-        (["--serial", "/dev/none", "--cell", "echo"], "--cell is not for arms on a serial line"),
-        (["--serial", "/dev/none", "--scaling", "2"], "scaling is 2"),
-        (["--rate", "10"], "--rate follows a FILE with the controllers of --cell"),
-        (["--rate", "10", "--cell", "lab.toml", "--scaling", "0.5"], "--cell, without --scaling"),
-        (["--rate", "10", "--cell", "lab.toml", "--path-tolerance", "0.01"], "--cell, without --path-tolerance"),
-        (["--serial", "/dev/none", "--goal-tolerance", "0.01"], "--goal-tolerance is not for arms on a serial line"),
-        (["--serial", "/dev/none", "--rate", "10"], "--rate is not for arms on a serial line"),
+        ("follow-serial", ["FILE", "--at-start"], "Missing option '--port'"),
+        ("follow-serial", ["--port", "/dev/none"], "Missing argument 'FILE'"),
+        ("follow-serial", ["FILE", "--port", "/dev/none", "--scaling", "2"], "scaling is 2"),
+        ("follow-serial", ["FILE", "--port", "/dev/none", "--cell", "echo"], "No such option: --cell"),
+        ("follow-serial", ["FILE", "--port", "/dev/none", "--rate", "10"], "No such option: --rate"),
+        (
+            "follow-serial",
+            ["FILE", "--port", "/dev/none", "--goal-tolerance", "0.1"],
+            "No such option: --goal-tolerance",
+        ),
+        ("follow-points", ["FILE", "--rate", "10"], "Missing option '--cell'"),
+        ("follow-points", ["FILE", "--cell", "lab.toml"], "Missing option '--rate'"),
+        ("follow-points", ["--cell", "lab.toml", "--rate", "10"], "Missing argument 'FILE'"),
+        ("follow-points", ["FILE", "--cell", "lab.toml", "--rate", "10"], "there is no cell file lab.toml"),
+        ("follow-points", ["FILE", "--cell", "a", "--rate", "10", "--scaling", "0.5"], "No such option: --scaling"),
+        ("follow-points", ["FILE", "--cell", "a", "--rate", "10", "--path-tolerance", "1"], "No such option"),
+        ("follow", ["FILE", "--rate", "10"], "No such option: --rate"),
+        ("follow", ["FILE", "--port", "/dev/none"], "No such option: --port"),
     ],
 )
-def test_options_that_do_not_fit_a_link_are_refused(file, options, words):
-    code, text = run("follow", file, *options)
+def test_each_command_has_only_options_that_it_checks(file, command, options, words):
+    code, text = run(command, *(file if each == "FILE" else each for each in options))
     assert code == 2
     assert words in text
 

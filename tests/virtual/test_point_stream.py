@@ -119,7 +119,7 @@ def _check_setpoints(cell, path, tick_s):
 def test_the_command_follows_a_file_at_a_low_rate(cell, capsys):
     home = joints(cell)
     there = JointTrajectory(("right",), [1.0, 3.0], home[None, 1:] + [[[0.05]], [[0.2]]], np.zeros((2, 1, 6)))
-    follow_command._follow_points(there, cell.file, 10.0, cell.system)
+    follow_command._stream(there, cell.file, 10.0, cell.system)
     assert "both arms are at the last point" in capsys.readouterr().out
     np.testing.assert_allclose(joints(cell), home + np.array([[0.0], [0.2]]), atol=1e-4)
     sent = np.array([row[1] for row in cell.setpoints("right")])[:, 0] - home[1, 0]

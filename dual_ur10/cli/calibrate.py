@@ -30,30 +30,41 @@ _NOISY: Final = 3.0  # times the stated noise, from which something else is wron
 _SHOWN_ROWS: Final = 60
 
 
+_Kinematics = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--kinematics",
+        metavar="ARM=SOURCE",
+        help="Kinematics of an arm: left=controller, or left=FILE for a YAML of ur_calibration. May be repeated.",
+    ),
+]
+_Record = Annotated[
+    str | None, typer.Option("--record", metavar="KIND", help="Record a touch or bar pose at each Enter. Read-only.")
+]
+_Grasp = Annotated[
+    str, typer.Option("--grasp", help="Name of the grasp of recorded bar poses; another one after letting go.")
+]
+_Touch = Annotated[
+    int | None,
+    typer.Option("--touch", metavar="N", min=1, max=100, help="Simulate N touches of a running emulated cell."),
+]
+_AcceptM = Annotated[
+    float, typer.Option("--accept-m", min=0.0, max=0.1, help="Largest uncertainty 1 m from the base that is written.")
+]
+_Moved = Annotated[
+    bool, typer.Option("--moved", help="A base was moved: write it although it is over 0.3 m or 20° from that in FILE.")
+]
+
+
 def calibrate(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A cell file, such as lab.toml.")],
     data: Annotated[
         Path, typer.Option("--data", metavar="FILE", help="Observations, in JSON. Recorded ones are appended.")
     ],
-    record: Annotated[
-        str | None,
-        typer.Option("--record", metavar="KIND", help="Record a touch or bar pose at each Enter. Read-only."),
-    ] = None,
-    grasp: Annotated[
-        str, typer.Option("--grasp", help="Name of the grasp of recorded bar poses; another one after letting go.")
-    ] = "1",
-    touch: Annotated[
-        int | None,
-        typer.Option("--touch", metavar="N", min=1, max=100, help="Simulate N touches of a running emulated cell."),
-    ] = None,
-    kinematics: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--kinematics",
-            metavar="ARM=SOURCE",
-            help="Kinematics of an arm: left=controller, or left=FILE for a YAML of ur_calibration. May be repeated.",
-        ),
-    ] = None,
+    record: _Record = None,
+    grasp: _Grasp = "1",
+    touch: _Touch = None,
+    kinematics: _Kinematics = None,
     suggest: Annotated[
         bool, typer.Option("--suggest", help="Name the observation that would improve the estimate most.")
     ] = False,
@@ -61,14 +72,8 @@ def calibrate(
     out: Annotated[
         Path | None, typer.Option("--out", metavar="FILE", help="Write the result into this new cell file instead.")
     ] = None,
-    accept_m: Annotated[
-        float,
-        typer.Option("--accept-m", min=0.0, max=0.1, help="Largest uncertainty 1 m from the base that is written."),
-    ] = 0.001,
-    moved: Annotated[
-        bool,
-        typer.Option("--moved", help="A base was moved: write it although it is over 0.3 m or 20° from that in FILE."),
-    ] = False,
+    accept_m: _AcceptM = 0.001,
+    moved: _Moved = False,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of simulated touches.")] = 0,
 ) -> None:
     """Estimate where the right base stands in the left one's frame, with its uncertainty. Moves nothing."""

@@ -37,7 +37,7 @@ def convert(
 ) -> None:
     """Convert a model of Stable-Baselines3 to a checkpoint. This runs the code that the file holds."""
     from dual_ur10.policies.learned.checkpoint import check_new, save
-    from dual_ur10.policies.learned.from_sb3 import Algorithm, from_sb3, inspect_model
+    from dual_ur10.policies.learned.from_sb3 import Algorithm, from_sb3
     from dual_ur10.policies.learned.signature import view_of
 
     env_id, keywords = env_id_of(env), keywords_of(settings, False)
@@ -48,20 +48,7 @@ def convert(
     if agents is not None and agents not in sizes:
         raise UnknownNameError("agents", agents, list(sizes))
     check_new(out)
-    specified, size = inspect_model(model)
-    if algo is None and specified is None:
-        raise CheckpointError(
-            f"{model} does not specify PPO or SAC, and no other can be converted: name one with --algo"
-        )
-    if algo is not None and specified not in (None, algo):
-        raise CheckpointError(f"{model} is a model of {specified}, but --algo is {algo}: leave --algo out")
-    kind: Any = agents or next((name for name, each in sizes.items() if each == size), "joint")
-    if size not in (None, sizes[kind]):
-        raise CheckpointError(
-            f"{model} observes {size} numbers; in {env_id} both arms together (joint) observe {sizes['joint']}, and "
-            f"each of them (shared) {sizes['shared']}: name the environment, --agents and --set of its training"
-        )
-    trained: Any = algo or specified
+    trained, kind = _chosen(model, algo, agents, env_id, sizes)
     policy = from_sb3(
         model,
         env_id,
@@ -82,3 +69,27 @@ def convert(
         f"evaluate it with: dual-ur10 evaluate {shlex.join([env, '--policy', str(folder), *options])}",
     ):
         console.print(line, highlight=False, soft_wrap=True, markup=False)
+
+
+def _chosen(model: Path, algo: str | None, agents: str | None, env_id: str, sizes: dict[str, int]) -> tuple[Any, Any]:
+    """Return the algorithm and the agents of a model: those that are named, or those of its file.
+
+    Raises:
+        CheckpointError: The file tells no algorithm, another one, or observations of another size.
+    """
+    from dual_ur10.policies.learned.from_sb3 import inspect_model
+
+    specified, size = inspect_model(model)
+    if algo is None and specified is None:
+        raise CheckpointError(
+            f"{model} does not specify PPO or SAC, and no other can be converted: name one with --algo"
+        )
+    if algo is not None and specified not in (None, algo):
+        raise CheckpointError(f"{model} is a model of {specified}, but --algo is {algo}: leave --algo out")
+    kind = agents or next((name for name, each in sizes.items() if each == size), "joint")
+    if size not in (None, sizes[kind]):
+        raise CheckpointError(
+            f"{model} observes {size} numbers; in {env_id} both arms together (joint) observe {sizes['joint']}, and "
+            f"each of them (shared) {sizes['shared']}: name the environment, --agents and --set of its training"
+        )
+    return algo or specified, kind

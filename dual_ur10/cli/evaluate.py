@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -72,8 +72,6 @@ def evaluate(
 
     With --cell, both arms move to the start of every episode; real ones after your yes to each of these motions.
     """
-    from dual_ur10.policies.evaluation.evaluate import evaluate as run
-
     env_id, keywords = env_id_of(env), keywords_of(settings, perturbed, cell, arm)
     randomize(keywords, randomization)
     if no_record and record is not None:
@@ -87,6 +85,32 @@ def evaluate(
         raise SettingsError(f"--json and --csv both name {json}")
     if power:
         power_on(cell)
+    found = _run(env_id, policy, episodes, cell is not None, seed=seed, num_envs=envs, env_kwargs=keywords)
+    console.print(found.as_table())
+    if json is not None:
+        found.to_json(json)
+        console.print(f"json  {json}", soft_wrap=True, highlight=False, markup=False)
+    if csv is not None:
+        found.to_csv(csv)
+        console.print(f"csv   {csv}", soft_wrap=True, highlight=False, markup=False)
+    conclude(found.successes, episodes, found.late_actions, min_success)
+
+
+def _run(env_id: str, policy: str, episodes: int, moves: bool, **arguments: Any) -> Evaluation:
+    """Return the evaluation, with its progress shown.
+
+    Args:
+        env_id: Id of the environment.
+        policy: Name of the policy.
+        episodes: Number of episodes.
+        moves: It is on two controllers: whoever names a cell here asks for its motions to each start.
+        **arguments: Further arguments of `dual_ur10.policies.evaluation.evaluate.evaluate`.
+
+    Raises:
+        typer.Exit: It was interrupted.
+    """
+    from dual_ur10.policies.evaluation.evaluate import evaluate as run
+
     found: Evaluation | None = None
     columns = (
         TextColumn("{task.description}"),
@@ -96,7 +120,7 @@ def evaluate(
         TimeRemainingColumn(),
     )
     try:
-        with progress_of(console, cell, *columns) as progress:
+        with progress_of(console, moves, *columns) as progress:
             bar = progress.add_task("running", total=episodes)
 
             def show(so_far: Evaluation) -> None:
@@ -104,32 +128,15 @@ def evaluate(
                 found = so_far
                 text = f"success {100 * so_far.success_rate:.1f} %"
                 progress.update(bar, description=text, completed=len(so_far.episodes))
-                if cell is not None:  # no bar is shown
+                if moves:  # no bar is shown
                     done = f"{len(so_far.episodes)} of {episodes} episodes, {text}{late_text(so_far.late_actions)}"
                     console.print(done, highlight=False)
 
-            found = run(
-                env_id,
-                policy,
-                episodes=episodes,
-                seed=seed,
-                num_envs=envs,
-                env_kwargs=keywords,
-                move_to_start=cell is not None,  # whoever names a cell here asks for these motions
-                on_progress=show,
-            )
+            return run(env_id, policy, episodes=episodes, move_to_start=moves, on_progress=show, **arguments)
     except KeyboardInterrupt:
         if found is not None:
             console.print(found.as_table())
         done = 0 if found is None else len(found.episodes)
-        arms = "" if cell is None else f"; {STOP_COMMANDED}"
+        arms = f"; {STOP_COMMANDED}" if moves else ""
         console.print(f"interrupted after {done} of {episodes} episodes; no result was written{arms}", highlight=False)
         raise typer.Exit(INTERRUPTED) from None
-    console.print(found.as_table())
-    if json is not None:
-        found.to_json(json)
-        console.print(f"json  {json}", soft_wrap=True, highlight=False, markup=False)
-    if csv is not None:
-        found.to_csv(csv)
-        console.print(f"csv   {csv}", soft_wrap=True, highlight=False, markup=False)
-    conclude(found.successes, episodes, found.late_actions, min_success)

@@ -145,9 +145,9 @@ def record_in(keywords: dict[str, Any], folder: Path, about: dict[str, Any]) -> 
     keywords.setdefault("record_about", about)
 
 
-def progress_of(console: Console, cell: Path | None, *columns: ProgressColumn) -> Progress:
+def progress_of(console: Console, moves: bool, *columns: ProgressColumn) -> Progress:
     """Return a progress bar, which is off where arms move: it would be drawn over questions to the operator."""
-    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal or cell is not None)
+    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal or moves)
 
 
 @contextmanager

@@ -59,7 +59,9 @@ def replay(
     if power:
         power_on(cell)
     try:
-        with progress_of(console, cell, TextColumn("playing"), BarColumn(), MofNCompleteColumn()) as progress:
+        with progress_of(
+            console, cell is not None, TextColumn("playing"), BarColumn(), MofNCompleteColumn()
+        ) as progress:
             bar = progress.add_task("playing")
             found = play(
                 recorded,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
@@ -36,6 +36,9 @@ from dual_ur10.cli.options import (
 from dual_ur10.ids import env_id_of
 from dual_ur10.policies.registry import provenance
 from dual_ur10.sim2real.processes.interrupts import INTERRUPTED
+
+if TYPE_CHECKING:
+    from dual_ur10.policies.evaluation.rollout import Record as EpisodeRecord
 
 
 def rollout(
@@ -75,16 +78,9 @@ def rollout(
                 if shown is not None:
                     shown.update(f"episode {episode + 1} of {episodes}")
                 found = run_episode(made, actor, seed=seed + episode)
-                figures = ["—", "—"]
-                if found.flange_error_m is not None:
-                    squares = (found.flange_error_m**2).mean(axis=0)
-                    figures = [f"{1e3 * np.sqrt(squares.max()):.4f}", f"{1e3 * found.flange_error_m.max():.4f}"]
-                total = float(found.reward.sum())
-                returns.append(total)
+                returns.append(float(found.reward.sum()))
                 successes += found.success
-                mark = "[green]yes[/]" if found.success else "[red]no[/]"
-                row = (str(episode), str(seed + episode), str(found.steps), f"{total:.2f}", mark, *figures)
-                table.add_row(*row, escape(found.ended_by))
+                table.add_row(str(episode), str(seed + episode), *_row(found))
                 late = made.unwrapped.core.late_actions
     except KeyboardInterrupt:
         if cell is None:
@@ -106,3 +102,13 @@ def rollout(
         highlight=False,
     )
     conclude(successes, episodes, late, min_success)
+
+
+def _row(found: EpisodeRecord) -> tuple[str, ...]:
+    """Return the cells of an episode's row from its number of steps on."""
+    figures = ["—", "—"]
+    if found.flange_error_m is not None:
+        squares = (found.flange_error_m**2).mean(axis=0)
+        figures = [f"{1e3 * np.sqrt(squares.max()):.4f}", f"{1e3 * found.flange_error_m.max():.4f}"]
+    mark = "[green]yes[/]" if found.success else "[red]no[/]"
+    return (str(found.steps), f"{found.reward.sum():.2f}", mark, *figures, escape(found.ended_by))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -24,6 +24,22 @@ _OPTIONS = {"env": "ENV", "settings": "--set", "change": "--setting"}
 """Names on the command line of the parameters that have another name here."""
 
 
+_Agents = Annotated[
+    str | None,
+    typer.Option(
+        "--agents",
+        help="joint: one network; shared: the same one for each arm; independent: two. Default: joint; of ppo and sac "
+        "without --init: shared.",
+    ),
+]
+
+_Changes = Annotated[
+    list[str] | None,
+    typer.Option("--setting", metavar="KEY=VALUE", help="A setting of the algorithm. May be repeated."),
+]
+_Dataset = Annotated[str, typer.Option("--dataset", metavar="ID", help="bc, dagger: a Minari dataset to start from.")]
+
+
 def train(
     context: typer.Context,
     env: Annotated[
@@ -31,27 +47,15 @@ def train(
         typer.Argument(metavar="ENV", help="An id, such as DualUR10/SineTracking-v0, or its short form SineTracking."),
     ] = None,
     algo: Annotated[str, typer.Option("--algo", "-a", help="ppo, sac, bc or dagger.")] = "dagger",
-    agents: Annotated[
-        str | None,
-        typer.Option(
-            "--agents",
-            help="joint: one network; shared: the same one for each arm; independent: two. "
-            "Default: joint; of ppo and sac without --init: shared.",
-        ),
-    ] = None,
+    agents: _Agents = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder to create.")] = None,
     envs: Annotated[int | None, typer.Option("--envs", min=1, help="Number of cells stepped together.")] = None,
     steps: Annotated[int | None, typer.Option("--steps", min=1, help="Total number of environment steps.")] = None,
     randomization: Randomization = None,
     seed: Annotated[int, typer.Option("--seed", "-s", min=0, help="Seed of all random numbers.")] = 0,
     settings: Settings = None,
-    change: Annotated[
-        list[str] | None,
-        typer.Option("--setting", metavar="KEY=VALUE", help="A setting of the algorithm. May be repeated."),
-    ] = None,
-    dataset: Annotated[
-        str, typer.Option("--dataset", metavar="ID", help="bc, dagger: a Minari dataset to start from.")
-    ] = "",
+    change: _Changes = None,
+    dataset: _Dataset = "",
     init: Annotated[str, typer.Option("--init", metavar="FOLDER", help="A checkpoint to start from.")] = "",
     resume: Annotated[
         Path | None, typer.Option("--resume", metavar="FOLDER", help="Continue the training in this folder.")
@@ -61,21 +65,12 @@ def train(
     """Train a policy and save it as a checkpoint: by imitation (dagger, bc) or by reinforcement learning (ppo, sac)."""
     from dual_ur10.policies.training import train as trainings
 
-    common: dict[str, Any] = {"threads": threads}
     if resume is not None:
-        given = [each for each in context.params if _is_given(context, each)]
-        others = sorted(_OPTIONS.get(each, f"--{each}") for each in given if each not in ("resume", "steps", "threads"))
-        if others:
-            raise SettingsError(
-                f"--resume continues with the settings kept in its folder: leave out {', '.join(others)}. "
-                "Only --steps and --threads can change"
-            )
-        run: Callable[..., Path] = trainings.resume
-        arguments: dict[str, Any] = {"out": resume, "steps": steps, **common}
-        where = resume
+        _check_resumed(context)
+        run, where = partial(trainings.resume, out=resume, steps=steps), resume
+    elif env is None:
+        raise SettingsError("name an environment, such as SineTracking, or a folder to continue: --resume FOLDER")
     else:
-        if env is None:
-            raise SettingsError("name an environment, such as SineTracking, or a folder to continue: --resume FOLDER")
         from dual_ur10.policies.training.settings import defaults
 
         asked = defaults(
@@ -92,28 +87,11 @@ def train(
             init=init,
         )
         where = out or Path("trainings") / f"{asked.env_id.split('/')[1]}-{algo}-{asked.agents}-{seed}"
-        run = trainings.train
-        arguments = {"training": asked, "out": where, **common}
+        run = partial(trainings.train, training=asked, out=where)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     try:
-        with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as shown:
-            bar = shown.add_task("beginning", total=None)
-
-            reported_s, begun = time.monotonic(), False
-
-            def show(progress: reporting.Progress) -> None:
-                nonlocal reported_s, begun
-                if not begun:  # all that was asked for has been checked
-                    begun = True
-                    console.print(f"training in {where}", highlight=False, soft_wrap=True, markup=False)
-                shown.update(bar, description=_text(progress), completed=progress.steps, total=progress.total)
-                if not console.is_terminal and time.monotonic() - reported_s > _REPORT_S:
-                    reported_s = time.monotonic()
-                    console.print(
-                        f"{progress.steps} of {progress.total}, {_text(progress)}", highlight=False, soft_wrap=True
-                    )
-
-            made = run(**arguments, on_progress=show)
+        with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+            made = run(threads=threads, on_progress=_Shown(bar, where))
     except KeyboardInterrupt:
         console.print(
             f"interrupted; continue with: dual-ur10 train --resume {where}",
@@ -122,6 +100,35 @@ def train(
             markup=False,
         )
         raise typer.Exit(INTERRUPTED) from None
+    _print(made)
+
+
+class _Shown:
+    """Shows the progress of a training: in the bar of a terminal, or in lines.
+
+    Args:
+        bar: The bar.
+        where: Folder of the training.
+    """
+
+    def __init__(self, bar: Progress, where: Path) -> None:
+        self._bar, self._where = bar, where
+        self._row = bar.add_task("beginning", total=None)
+        self._reported_s, self._begun = time.monotonic(), False
+
+    def __call__(self, progress: reporting.Progress) -> None:
+        """Show it."""
+        if not self._begun:  # all that was asked for has been checked
+            self._begun = True
+            console.print(f"training in {self._where}", highlight=False, soft_wrap=True, markup=False)
+        self._bar.update(self._row, description=_text(progress), completed=progress.steps, total=progress.total)
+        if not console.is_terminal and time.monotonic() - self._reported_s > _REPORT_S:
+            self._reported_s = time.monotonic()
+            console.print(f"{progress.steps} of {progress.total}, {_text(progress)}", highlight=False, soft_wrap=True)
+
+
+def _print(made: Path) -> None:
+    """Print results and name of a checkpoint."""
     from dual_ur10.policies.learned.checkpoint import read_manifest
 
     manifest = read_manifest(made)
@@ -135,6 +142,21 @@ def train(
         )
     console.print(f"policy  {made}", highlight=False, soft_wrap=True, markup=False)
     console.print(f"sha256  {manifest.weights_sha256}", highlight=False, soft_wrap=True)
+
+
+def _check_resumed(context: typer.Context) -> None:
+    """Check that nothing is given that a resumed training keeps in its folder.
+
+    Raises:
+        SettingsError: An option is.
+    """
+    given = [each for each in context.params if _is_given(context, each)]
+    others = sorted(_OPTIONS.get(each, f"--{each}") for each in given if each not in ("resume", "steps", "threads"))
+    if others:
+        raise SettingsError(
+            f"--resume continues with the settings kept in its folder: leave out {', '.join(others)}. "
+            "Only --steps and --threads can change"
+        )
 
 
 def _is_given(context: typer.Context, name: str) -> bool:

@@ -20,7 +20,7 @@ from dual_ur10.errors import PolicyError, SettingsError
 from dual_ur10.ids import env_id_of
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies.policy import Policy, as_policy
-from dual_ur10.sim2real.config.cell import LATENCY_S, CellConfig, HostedCell
+from dual_ur10.sim2real.config.cell import LATENCY_S, HostedCell
 from dual_ur10.types import Array
 
 log = logging.getLogger(__name__)
@@ -112,22 +112,13 @@ def check_policy(
         DualUR10Error: The environment failed.
     """
     name = env_id_of(env_id)
-    if steps is not None and (isinstance(steps, bool) or not isinstance(steps, int | np.integer) or steps < 1):
-        raise SettingsError(f"steps is {steps!r}: it must be a whole number above 0, or None for a whole episode")
+    most = _most_steps(steps)
     if cell is not None and not isinstance(cell, str | os.PathLike | HostedCell):
         raise SettingsError(
             f"cell is {type(cell).__name__}: it must be the path of a cell file, a VirtualCell, or None"
         )
-    most = MOST_STEPS if steps is None else int(steps)
     policy = as_policy(policy)
-    simulated = {**AS_ON_CONTROLLERS, **env_kwargs}
-    for controllers_only in ("confirm", "arm") if cell is not None else ():
-        simulated.pop(controllers_only, None)
-    config = None if cell is None else _simulated(cell)
-    if config is not None:
-        simulated["cell"], latency = config
-        simulated.setdefault("action_latency_ticks", latency)
-    env = gym.make(name, disable_env_checker=True, **simulated)
+    env = gym.make(name, disable_env_checker=True, **_simulated(cell, env_kwargs))
     try:
         episode = _Episode(policy, env)
         episode.run(seed, most)
@@ -169,12 +160,32 @@ def check_policy(
     return dataclasses.replace(report, notes=tuple(notes))
 
 
-def _simulated(cell: str | os.PathLike[str] | HostedCell) -> tuple[CellConfig, int]:
-    """Return the simulated counterpart of a cell of controllers, and its latency in ticks."""
+def _most_steps(steps: int | None) -> int:
+    """Return the number of steps after which the check of an episode ends.
+
+    Raises:
+        SettingsError: It is not a positive number.
+    """
+    if steps is None:
+        return MOST_STEPS
+    if isinstance(steps, bool) or not isinstance(steps, int | np.integer) or steps < 1:
+        raise SettingsError(f"steps is {steps!r}: it must be a whole number above 0, or None for a whole episode")
+    return int(steps)
+
+
+def _simulated(cell: str | os.PathLike[str] | HostedCell | None, env_kwargs: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the keywords of the simulated episode, which has mounts, limits and latency of a cell of controllers."""
+    keywords = {**AS_ON_CONTROLLERS, **env_kwargs}
+    if cell is None:
+        return keywords
     from dual_ur10.sim2real.config.cell_file import load_cell_file
 
+    for controllers_only in ("confirm", "arm"):
+        keywords.pop(controllers_only, None)
     file = cell.file if isinstance(cell, HostedCell) else load_cell_file(os.fspath(cell))
-    return file.simulated(), file.config().latency_ticks
+    keywords["cell"] = file.simulated()
+    keywords.setdefault("action_latency_ticks", file.config().latency_ticks)
+    return keywords
 
 
 def _budget_s(env: Any) -> float:

@@ -81,6 +81,35 @@ class Gathered(NamedTuple):
     longest: int
 
 
+class _Noise:
+    """Noise on an expert's actions, which every row samples in a way of its own.
+
+    Args:
+        rows: Number of rows.
+        joints: (size,) 1 where an action is a joint's, 0 elsewhere.
+        largest: Largest standard deviation.
+        rng: Generator.
+    """
+
+    def __init__(self, rows: int, joints: Single, largest: float, rng: np.random.Generator) -> None:
+        self._joints, self._rng = joints, rng
+        self._scale = (largest * rng.random((rows, 1))).astype(np.float32) * joints
+        self._added = np.zeros((rows, len(joints)), dtype=np.float32)
+        self._memory = rng.uniform(*_MEMORY, (rows, 1)).astype(np.float32)
+        self._swell, self._phase = rng.uniform(*_SWELL, (rows, 1)), rng.uniform(0, 2 * np.pi, (rows, 1))
+
+    def __call__(self, wanted: Single, step: int) -> Single:
+        """Return actions, (rows, size), with the noise of one step."""
+        fresh = self._scale * self._rng.standard_normal(self._added.shape, dtype=np.float32)
+        self._added = self._memory * self._added + np.sqrt(1 - self._memory**2) * fresh
+        # Where the expert slows down, beside a table or another gripper, there is no room for noise.
+        speed = np.abs(wanted * self._joints).max(axis=1, keepdims=True)
+        swelling = np.maximum(0.0, np.sin(2 * np.pi * step / self._swell + self._phase))
+        loud = np.minimum(1.0, speed / _FAST) * swelling
+        shaken: Single = wanted + loud.astype(np.float32) * self._added
+        return shaken
+
+
 def gather(
     env: Any,
     expert: Expert,
@@ -124,28 +153,19 @@ def gather(
     handed = np.where(rng.random(n) < expert_ratio, rng.integers(1, within + 1, n), 0)
     if learner is None:
         handed[:] = np.iinfo(handed.dtype).max
-    scale = (noise * rng.random((n, 1))).astype(np.float32) * joints
-    added = np.zeros((n, len(low)), dtype=np.float32)
-    memory = rng.uniform(*_MEMORY, (n, 1)).astype(np.float32)
-    swell, phase = rng.uniform(*_SWELL, (n, 1)), rng.uniform(0, 2 * np.pi, (n, 1))
+    shaken = _Noise(n, joints, noise, rng)
     observation, _ = env.reset(seed=list(seeds))
     for row in range(n):
         expert.begin(row)
     counted = np.arange(n) < (n if rows is None else rows)
     live, alone, helped = counted.copy(), handed == 0, np.zeros(n, dtype=int)
-    seen: list[Single] = []
-    labels: list[Single] = []
+    seen, labels = list[Single](), list[Single]()
     returns, successes, steps, now = np.zeros(n), np.zeros(n, dtype=bool), 0, 0
     while live.any():
         wanted, keep = expert(observation, live)
         seen.append(observation[keep].astype(np.float32))
         labels.append(wanted[keep])
-        fresh = scale * rng.standard_normal(added.shape, dtype=np.float32)
-        added = memory * added + np.sqrt(1 - memory**2) * fresh
-        # Where the expert slows down, beside a table or another gripper, there is no room for noise.
-        speed = np.abs(wanted * joints).max(axis=1, keepdims=True)
-        loud = np.minimum(1.0, speed / _FAST) * np.maximum(0.0, np.sin(2 * np.pi * now / swell + phase))
-        action = wanted + loud.astype(np.float32) * added
+        action = shaken(wanted, now)
         own = (handed <= now) & (helped <= now)
         if learner is not None and own.any():
             proposed = np.asarray(learner(observation))

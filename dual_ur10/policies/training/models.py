@@ -72,52 +72,62 @@ def make(
     shape = env.observation_space.shape or (0,)
     moments: Any = _Moments(shape, () if settings.scaled else np.setdiff1d(np.arange(shape[0]), unseen).tolist())
     around.obs_rms = moments
-    hidden = list(settings.hidden)
     if algorithm == "ppo":
-        model: Any = PPO(
-            "MlpPolicy",
-            around,
-            learning_rate=lambda _: settings.learning_rate * (1.0 - share()),
-            n_steps=settings.steps_per_update,
-            batch_size=min(settings.batch_size, settings.steps_per_update * env.num_envs),
-            n_epochs=settings.epochs,
-            gamma=settings.gamma,
-            gae_lambda=settings.gae_lambda,
-            clip_range=settings.clip_range,
-            ent_coef=settings.entropy,
-            target_kl=settings.target_kl,
-            policy_kwargs={
-                "net_arch": {"pi": hidden, "vf": hidden},
-                "log_std_init": float(np.log(settings.first_std)),
-            },
-            seed=seed,
-            device="cpu",
-        )
+        model: Any = _ppo(around, settings, seed, share)
         first = model.policy.mlp_extractor.policy_net[0]
     else:
-        model = SAC(
-            "MlpPolicy",
-            around,
-            learning_rate=settings.learning_rate,
-            gamma=settings.gamma,
-            batch_size=settings.batch_size,
-            buffer_size=settings.buffer_size,
-            learning_starts=settings.learning_starts,
-            train_freq=1,
-            gradient_steps=settings.gradient_steps,
-            ent_coef=f"auto_{_FIRST_ENTROPY_WEIGHT}",
-            policy_kwargs={"net_arch": {"pi": hidden, "qf": hidden}},
-            seed=seed,
-            device="cpu",
-        )
-        # It begins as PPO does: near zero, and as wide. Untrained heads would act at random, in all of the range.
-        with torch.no_grad():
-            for head, bias in ((model.actor.mu, 0.0), (model.actor.log_std, math.log(settings.first_std))):
-                head.weight.mul_(_NEAR_ZERO)
-                head.bias.fill_(bias)
+        model = _sac(around, settings, seed)
         first = model.policy.actor.latent_pi[0]
     _hide(first, unseen)
     return model, around
+
+
+def _ppo(env: VecEnv, settings: Reinforcement, seed: int, share: Callable[[], float]) -> PPO:
+    hidden = list(settings.hidden)
+    return PPO(
+        "MlpPolicy",
+        env,
+        learning_rate=lambda _: settings.learning_rate * (1.0 - share()),
+        n_steps=settings.steps_per_update,
+        batch_size=min(settings.batch_size, settings.steps_per_update * env.num_envs),
+        n_epochs=settings.epochs,
+        gamma=settings.gamma,
+        gae_lambda=settings.gae_lambda,
+        clip_range=settings.clip_range,
+        ent_coef=settings.entropy,
+        target_kl=settings.target_kl,
+        policy_kwargs={
+            "net_arch": {"pi": hidden, "vf": hidden},
+            "log_std_init": float(np.log(settings.first_std)),
+        },
+        seed=seed,
+        device="cpu",
+    )
+
+
+def _sac(env: VecEnv, settings: Reinforcement, seed: int) -> Any:
+    hidden = list(settings.hidden)
+    model: Any = SAC(
+        "MlpPolicy",
+        env,
+        learning_rate=settings.learning_rate,
+        gamma=settings.gamma,
+        batch_size=settings.batch_size,
+        buffer_size=settings.buffer_size,
+        learning_starts=settings.learning_starts,
+        train_freq=1,
+        gradient_steps=settings.gradient_steps,
+        ent_coef=f"auto_{_FIRST_ENTROPY_WEIGHT}",
+        policy_kwargs={"net_arch": {"pi": hidden, "qf": hidden}},
+        seed=seed,
+        device="cpu",
+    )
+    # It begins as PPO does: near zero, and as wide. Untrained heads would act at random, in all of the range.
+    with torch.no_grad():
+        for head, bias in ((model.actor.mu, 0.0), (model.actor.log_std, math.log(settings.first_std))):
+            head.weight.mul_(_NEAR_ZERO)
+            head.bias.fill_(bias)
+    return model
 
 
 def _hide(layer: Any, unseen: Sequence[int]) -> None:

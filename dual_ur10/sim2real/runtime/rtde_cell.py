@@ -99,20 +99,8 @@ class RtdeCell:
         system: System = LOCAL,
     ) -> None:
         self.system = system
-        if not isinstance(config.file, CellFile):
-            raise SettingsError("a cell of two controllers needs a cell file: pass its path as `cell`")
-        least = margin_ticks(config.servoj.tick_s) + SHOWN_STATES
-        if not (isinstance(latency_ticks, int | np.integer) and least <= latency_ticks <= MAX_LATENCY_TICKS):
-            raise SettingsError(
-                f"action_latency_ticks is {latency_ticks!r}: two controllers need {least} to "
-                f"{MAX_LATENCY_TICKS}, the time from a measurement to the first target that follows from it"
-            )
-        _check_against_file(config)
-        if config.equipment.welded:
-            raise SettingsError("arms that are welded to what they hold exist in simulation only: use a friction grasp")
-        if coupled:
-            _check_bases(config.file)
-        self.config, self.file, self.ticks, self.latency_ticks = config, config.file, ticks, int(latency_ticks)
+        self.config, self.file = config, _checked_file(config, latency_ticks, coupled)
+        self.ticks, self.latency_ticks = ticks, int(latency_ticks)
         self._warned_late = False
         self._tick_s = config.servoj.tick_s
         self._targets = TargetWriter(limits, self._tick_s, max(AHEAD_TICKS, ticks))
@@ -507,6 +495,29 @@ def _check_bases(file: CellFile) -> None:
             f"together {1e3 * error_m:.3g} mm at {_COUPLED_LEVER_M:g} m: with more than {1e3 * MOST_COUPLED_M:g} mm "
             f"both arms must not hold one object. For that, {remedy}"
         )
+
+
+def _checked_file(config: CellConfig, latency_ticks: int, coupled: bool) -> CellFile:
+    """Return the cell file of a configuration, after a check of what was asked for.
+
+    Raises:
+        SettingsError: There is no cell file, the configuration differs from it, or the latency is not legal.
+        StartError: The relative pose of the bases is too uncertain for one object.
+    """
+    if not isinstance(config.file, CellFile):
+        raise SettingsError("a cell of two controllers needs a cell file: pass its path as `cell`")
+    least = margin_ticks(config.servoj.tick_s) + SHOWN_STATES
+    if not (isinstance(latency_ticks, int | np.integer) and least <= latency_ticks <= MAX_LATENCY_TICKS):
+        raise SettingsError(
+            f"action_latency_ticks is {latency_ticks!r}: two controllers need {least} to "
+            f"{MAX_LATENCY_TICKS}, the time from a measurement to the first target that follows from it"
+        )
+    _check_against_file(config)
+    if config.equipment.welded:
+        raise SettingsError("arms that are welded to what they hold exist in simulation only: use a friction grasp")
+    if coupled:
+        _check_bases(config.file)
+    return config.file
 
 
 def _check_against_file(config: CellConfig) -> None:

@@ -9,23 +9,18 @@ import typer
 from rich.markup import escape
 
 from dual_ur10.cli import cell
-from dual_ur10.cli.collect import collect
-from dual_ur10.cli.compare import compare
-from dual_ur10.cli.convert import convert
 from dual_ur10.cli.demo import demo
-from dual_ur10.cli.doctor import doctor
+from dual_ur10.cli.doctor import doctor, repeatability
 from dual_ur10.cli.emulate import emulate
 from dual_ur10.cli.evaluate import evaluate
-from dual_ur10.cli.fit import fit
 from dual_ur10.cli.follow import follow, follow_points, follow_serial
 from dual_ur10.cli.list import list_environments
 from dual_ur10.cli.options import console, errors
-from dual_ur10.cli.repeatability import repeatability
-from dual_ur10.cli.replay import replay
+from dual_ur10.cli.records import compare, fit, replay
 from dual_ur10.cli.rollout import rollout
 from dual_ur10.cli.status import status
 from dual_ur10.cli.teach import teach
-from dual_ur10.cli.train import train
+from dual_ur10.cli.train import collect, convert, train
 from dual_ur10.cli.view import view
 from dual_ur10.errors import DualUR10Error
 from dual_ur10.ids import __version__

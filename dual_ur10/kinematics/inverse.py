@@ -6,17 +6,68 @@ closed form is the start of some damped Newton steps.
 
 from __future__ import annotations
 
-from typing import Final
+from functools import lru_cache
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dual_ur10.errors import SettingsError, UnreachableError
 from dual_ur10.kernel import Constants, call
-from dual_ur10.kinematics.closed_form import EDGE, closed_form, coefficients, pose_block, within
-from dual_ur10.kinematics.forward import checked_joints, pose_and_jacobian
+from dual_ur10.kinematics.forward import checked_joints, lengths_m, pose_and_jacobian
 from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD, DHParameters
 from dual_ur10.types import Array, Mask, constant
+
+_EDGE: Final = 1e-7
+"""Tolerance, in the cosine of theta3, for a stretched arm's pose that rounding puts outside the workspace; 1e-7 m."""
+
+
+class _Branches(NamedTuple):
+    """All branches of n poses, before any check of reach.
+
+    They are named by three signs, in C order of (elbow, wrist, shoulder), + first: index
+    ``4 * elbow + 2 * wrist + shoulder``. Elbow + is theta3 >= 0, wrist + is theta5 >= 0.
+    """
+
+    q: Array  # (n, 8, 6), not wrapped; meaningless where out of reach
+    wrist_offset_m2: Array  # (n,) square of the wrist centre's distance from the base axis, less that of d4
+    elbow_cosine: Array  # (n, 8) cosine of theta3; beyond ±1 where the wrist is out of reach
+
+
+@lru_cache(maxsize=32)
+def _coefficients(dh: DHParameters) -> Constants:
+    """Return the arm as the kernel takes it: lengths, twists ignored, theta offsets, and the tolerance at the edge."""
+    return Constants(np.concatenate([lengths_m(dh), dh.theta_rad, [_EDGE]]))
+
+
+def _pose_block(position: Array, rotation: Array, reference: Array, size: int) -> Array:
+    """Return rows of the kernel's input and output, (n, size), of poses (n, 3), (n, 3, 3) and references (n, 6)."""
+    n = len(position)
+    block: Array = np.empty((n, size))
+    block[:, :3], block[:, 3:12], block[:, 12:18] = position, rotation.reshape(n, 9), reference
+    return block
+
+
+def _closed_form(position: Array, rotation: Array, dh: DHParameters, reference: Array | None) -> _Branches:
+    """Solve an arm whose axes are exactly parallel and perpendicular, with the lengths of ``dh``.
+
+    Args:
+        position: (n, 3).
+        rotation: (n, 3, 3).
+        dh: Lengths and theta offsets; twists, and lengths that are zero on a nominal arm, are ignored.
+        reference: (n, 6) angles from which a free theta6 is taken if the pose stays in reach; None: zero.
+    """
+    block = _pose_block(position, rotation, -np.asarray(dh.theta_rad) if reference is None else reference, 75)
+    call("inverse_branches", _coefficients(dh), block, len(block))
+    return _Branches(block[:, 18:66].reshape(-1, 8, 6), block[:, 74], block[:, 66:74])
+
+
+def _within(branches: _Branches, edge: float) -> Mask:
+    """(n, 8): which branches reach their pose, give or take ``edge``."""
+    reached: Mask = np.abs(branches.elbow_cosine) <= 1.0 + edge
+    reached &= (branches.wrist_offset_m2 >= -edge)[:, None]
+    return reached
+
 
 _TWO_PI: Final = 2 * np.pi
 _IDENTITY: Final = constant(np.eye(3))
@@ -81,8 +132,8 @@ def _solve(position: Array, rotation: Array, dh: DHParameters, reference: Array 
     solution found from there becomes a ninth.
     """
     nominal = dh.is_nominal
-    branches = closed_form(position, rotation, dh, reference)
-    valid = within(branches, EDGE if nominal else _CALIBRATED_EDGE)
+    branches = _closed_form(position, rotation, dh, reference)
+    valid = _within(branches, _EDGE if nominal else _CALIBRATED_EDGE)
     if nominal:
         return branches.q, valid
     q = branches.q.copy()
@@ -107,7 +158,7 @@ def _block(
         p, r = np.broadcast_to(p, (*batch, 3)), np.broadcast_to(r, (*batch, 3, 3))
     if reference.shape[:-1] != batch:
         reference = np.broadcast_to(reference, (*batch, 6))
-    return batch, pose_block(p.reshape(-1, 3), r.reshape(-1, 3, 3), reference.reshape(-1, 6), size)
+    return batch, _pose_block(p.reshape(-1, 3), r.reshape(-1, 3, 3), reference.reshape(-1, 6), size)
 
 
 def _raise_fault(block: Array) -> None:
@@ -194,7 +245,7 @@ def try_nearest(
     """
     if dh.is_nominal:
         batch, block = _block(position, rotation, reference_q_rad, 25)
-        call("inverse_nearest", coefficients(dh), _LIMITS, block, len(block))
+        call("inverse_nearest", _coefficients(dh), _LIMITS, block, len(block))
         if np.count_nonzero(block[:, 24] < 0.0):
             _raise_fault(block)
         return block[:, 18:24].reshape(*batch, 6), block[:, 24].reshape(batch) > 0.0
@@ -236,7 +287,7 @@ def nearest(
 
 def _why_unreachable(position: Array, rotation: Array, dh: DHParameters, rows: NDArray[np.intp]) -> str:
     row = int(rows[0])
-    branches = closed_form(position[row : row + 1], rotation[row : row + 1], dh, None)
+    branches = _closed_form(position[row : row + 1], rotation[row : row + 1], dh, None)
     shown = ", ".join(str(index) for index in rows[:8]) + (", ..." if len(rows) > 8 else "")
     where = f"{len(rows)} of {len(position)} flange poses out of reach (row {shown}). Row {row}, at "
     where += f"({', '.join(f'{value:.4f}' for value in position[row])}) m in base: "

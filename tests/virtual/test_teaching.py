@@ -10,8 +10,7 @@ from dual_ur10.errors import CellFaulted, StartError, TrajectoryError
 from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.runtime import program_link
-from dual_ur10.sim2real.runtime.freedrive_script import SILENCE_S, freedrive_script
-from dual_ur10.sim2real.runtime.hand_guiding import HandGuiding
+from dual_ur10.sim2real.runtime.hand_guiding import SILENCE_S, HandGuiding, freedrive_script
 from dual_ur10.sim2real.runtime.program_link import stop_programs
 from dual_ur10.sim2real.runtime.stream_script import STATE, Command, State
 from dual_ur10.sim2real.runtime.teaching import STEP_RAD, Key

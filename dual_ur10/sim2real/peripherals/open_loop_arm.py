@@ -18,8 +18,7 @@ import numpy as np
 from dual_ur10.errors import DualUR10Error, LinkError, OperationRefusedError, SettingsError, TrajectoryError
 from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 from dual_ur10.sim2real.peripherals.commanded_positions import Commanded, CommandedPositions
-from dual_ur10.sim2real.peripherals.serial_line import SerialLine
-from dual_ur10.sim2real.processes.serial_port import SerialTransport
+from dual_ur10.sim2real.peripherals.serial_line import SerialLine, SerialTransport
 from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.processes.transport import Transport
 from dual_ur10.sim2real.protocol.serial_arm import (

@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 from dual_ur10.envs.api.sb3_bridge import TwoAgentVecEnv
-from dual_ur10.policies.training.differences import Differences
+from dual_ur10.policies.training.models import Differences
 
 GAMMA, N = 0.9, 2
 

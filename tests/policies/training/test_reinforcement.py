@@ -16,7 +16,7 @@ from dual_ur10.errors import SettingsError, TrainingError, UnknownNameError
 from dual_ur10.policies.learned import checkpoint
 from dual_ur10.policies.training import folder, models, state
 from dual_ur10.policies.training import reinforcement as reinforce
-from dual_ur10.policies.training.differences import Differences
+from dual_ur10.policies.training.models import Differences
 from dual_ur10.policies.training.settings import defaults
 from dual_ur10.policies.training.train import resume, train
 from tests.policies.training.small import small

@@ -331,7 +331,7 @@ def test_a_port_that_does_not_exist_is_named(tmp_path):
 def test_the_missing_extra_is_named():
     code = """import sys
 sys.modules["serial"] = None
-from dual_ur10.sim2real.processes.serial_port import SerialTransport
+from dual_ur10.sim2real.peripherals.serial_line import SerialTransport
 SerialTransport("/dev/null", 57600)"""
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert 'pip install "dual-ur10[serial]"' in found.stderr

@@ -4,7 +4,7 @@ import logging
 
 import pytest
 
-from dual_ur10.sim2real.links.ur_rtde_output import UrRtdeOutput
+from dual_ur10.sim2real.runtime.arm_process import UrRtdeOutput
 
 NOT_RUNNING = "RTDEControlInterface: RTDE control script is not running!"
 KILLED = """\

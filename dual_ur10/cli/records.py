@@ -1,0 +1,193 @@
+"""Commands on recorded runs: `replay`, `compare` and `fit`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
+from rich.table import Table
+
+from dual_ur10.cli.options import (
+    RUNS,
+    STOP_COMMANDED,
+    CellFileName,
+    NoRecord,
+    OneArm,
+    Partial,
+    PowerOn,
+    Record,
+    RunPath,
+    console,
+    errors,
+    keywords_of,
+    late_text,
+    power_on,
+    progress_of,
+    record_in,
+)
+from dual_ur10.files import check_target
+from dual_ur10.sim2real.processes.interrupts import INTERRUPTED
+
+DIFFERENT = 1
+"""Exit code when a replay differs from the recording."""
+
+
+def replay(
+    run: RunPath,
+    cell: CellFileName = None,
+    episode: Annotated[int, typer.Option("--episode", "-e", min=0, help="Number of the episode in the run.")] = 0,
+    arm: OneArm = None,
+    power: PowerOn = False,
+    allow_partial: Partial = False,
+    record: Record = RUNS,
+    no_record: NoRecord = False,
+) -> None:
+    """Replay the actions of a recorded episode through the same adapter and gate.
+
+    A simulated run that is simulated again must be the same in every bit, else the exit code is 1. On arms, the
+    targets that the gate releases are compared.
+    """
+    from dual_ur10.sim2real.analysis.replay import replay as play
+    from dual_ur10.sim2real.analysis.replay import source_of
+    from dual_ur10.sim2real.recording.reader import read_run
+
+    keywords = keywords_of(None, perturbed=False, cell=cell, arm=arm)
+    keywords.pop("cell", None)
+    recorded = read_run(run, allow_partial=allow_partial)
+    if not no_record:
+        record_in(keywords, record, source_of(run, episode))
+    if power:
+        power_on(cell)
+    try:
+        with progress_of(
+            console, cell is not None, TextColumn("playing"), BarColumn(), MofNCompleteColumn()
+        ) as progress:
+            bar = progress.add_task("playing")
+            found = play(
+                recorded,
+                cell,
+                episode=episode,
+                keywords=keywords,
+                on_step=lambda done, total: progress.update(bar, completed=done, total=total),
+            )
+    except KeyboardInterrupt:
+        if cell is None:
+            raise
+        errors.print(f"interrupted; {STOP_COMMANDED}", highlight=False, soft_wrap=True)
+        raise typer.Exit(INTERRUPTED) from None
+    ticks = found.targets_rad.shape[0] * found.targets_rad.shape[1]
+    ended = f", ended by {escape(found.ended_by)}" if found.ended_by else ""
+    console.print(
+        f"{found.steps} of {found.recorded} steps, {found.equal_targets} of {ticks} ticks with the recorded targets "
+        f"in every bit{ended}{late_text(found.late_actions)}",
+        highlight=False,
+        soft_wrap=True,
+    )
+    if found.is_exact:
+        console.print("the replay is as recorded", style="green", highlight=False)
+        return
+    errors.print(f"[bold red]different:[/] [red]{escape(found.difference)}[/]", soft_wrap=True, highlight=False)
+    raise typer.Exit(DIFFERENT)
+
+
+def compare(
+    run_a: Annotated[Path, typer.Argument(metavar="RUN_A", help="A recorded run: its folder or its file.")],
+    run_b: Annotated[Path, typer.Argument(metavar="RUN_B", help="Another of the same task.")],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The report, one HTML file.")] = Path(
+        "compare.html"
+    ),
+    allow_partial: Partial = False,
+) -> None:
+    """Compare two recorded runs of a task, and write a report of their differences."""
+    from dual_ur10.sim2real.analysis.compare import compare as compared
+    from dual_ur10.sim2real.analysis.report import check_extra, write_report
+    from dual_ur10.sim2real.recording.reader import read_run
+
+    check_target(out)
+    check_extra()
+    found = compared(*(read_run(path, allow_partial=allow_partial) for path in (run_a, run_b)))
+    write_report(out, found, (_name(run_a), _name(run_b)))
+    table = Table(header_style="bold")
+    for header in ("arm", "flange RMS\n[dim]mm[/]", "max\n[dim]mm[/]", "lag of B\n[dim]ms[/]"):
+        table.add_column(header, justify="left" if header == "arm" else "right")
+    for header in ("RMS, lag off\n[dim]mm[/]", "max, lag off\n[dim]mm[/]", "equal targets"):
+        table.add_column(header, justify="right")
+    for arm, each in zip(("left", "right"), found.arms, strict=True):
+        free = None if each.free is None else each.free.flange_m
+        table.add_row(
+            arm,
+            *(f"{1e3 * value:.4f}" for value in (each.found.flange_m.rms, each.found.flange_m.most)),
+            "—" if each.lag.reason else f"{1e3 * each.lag.value:.3f}",
+            *(["—", "—"] if free is None else [f"{1e3 * value:.4f}" for value in (free.rms, free.most)]),
+            f"{each.sent.equal} of {each.sent.compared}",
+        )
+    console.print(table)
+    for arm, each in zip(("left", "right"), found.arms, strict=True):
+        if each.lag.reason:
+            console.print(f"[yellow]note:[/] {arm}: no lag: {escape(each.lag.reason)}", highlight=False, soft_wrap=True)
+    for note in found.notes:
+        console.print(f"[yellow]note:[/] {escape(note)}", highlight=False, soft_wrap=True)
+    console.print(f"report  {out}", soft_wrap=True, highlight=False, markup=False)
+
+
+def _name(path: Path) -> str:
+    """Return the name of a run: that of its folder."""
+    resolved = path.resolve()
+    return resolved.parent.name if resolved.is_file() else resolved.name
+
+
+if TYPE_CHECKING:
+    from dual_ur10.sim2real.analysis.fit import Estimate
+
+
+def fit(
+    run: RunPath,
+    write: Annotated[
+        Path | None,
+        typer.Option("--write", metavar="FILE", help="Write lookahead and latency of both arms into this cell file."),
+    ] = None,
+    episode: Annotated[
+        int | None, typer.Option("--episode", "-e", min=0, help="Number of the episode; by default the longest.")
+    ] = None,
+    allow_partial: Partial = False,
+) -> None:
+    """Estimate lookahead and latency of each arm from a recorded run in which both arms move."""
+    from dual_ur10.sim2real.analysis.cell_update import write_back
+    from dual_ur10.sim2real.analysis.fit import fit as fitted
+    from dual_ur10.sim2real.analysis.fit import remark
+    from dual_ur10.sim2real.recording.reader import read_run
+
+    if write is not None:
+        check_target(write)
+    recorded = read_run(run, allow_partial=allow_partial)
+    found = fitted(recorded, episode)
+    table = Table(header_style="bold")
+    table.add_column("")
+    for header in ("lookahead\n[dim]ms[/]", "latency\n[dim]ms[/]", "unexplained RMS\n[dim]µrad[/]"):
+        table.add_column(header, justify="right")
+    reasons = []
+    for arm, each in zip(("left", "right"), found, strict=True):
+        for what, estimate in (("controller alone", each.law), ("controller and arm", each.arm)):
+            table.add_row(f"{arm}, {what}", *_figures(estimate))
+            reason = estimate.reason or remark(estimate, recorded.header.tick_s)
+            if reason:
+                reasons.append(f"{arm}, {what}: {reason}")
+    console.print(table)
+    for reason in reasons:
+        console.print(f"[yellow]note:[/] {escape(reason)}", highlight=False, soft_wrap=True)
+    if write is not None:
+        kept = write_back(write, recorded.header, found)
+        console.print(f"wrote {write}; as it was: {kept}", soft_wrap=True, highlight=False, markup=False)
+
+
+def _figures(estimate: Estimate) -> list[str]:
+    if estimate.reason:
+        return ["—"] * 3
+    return [
+        f"{1e3 * estimate.lookahead_s:.3f} ± {1e3 * estimate.lookahead_sigma_s:.3f}",
+        f"{1e3 * estimate.latency_s:.3f} ± {1e3 * estimate.latency_sigma_s:.3f}",
+        f"{1e6 * estimate.rms_rad:.1f}",
+    ]

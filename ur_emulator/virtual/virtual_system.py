@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from dual_ur10.errors import VirtualCellError
 from dual_ur10.sim2real.processes.garbage import GarbageCollector, NoGarbageCollector
+from dual_ur10.sim2real.processes.system import System
 from dual_ur10.sim2real.processes.transport import Listener, Transport
 from ur_emulator.virtual.network import MemoryTransport, Network
 from ur_emulator.virtual.scheduler import (
@@ -110,8 +111,8 @@ class _Inline(Executor):
         return future
 
 
-class VirtualSystem:
-    """See `dual_ur10.sim2real.processes.system.System`.
+class VirtualSystem(System):
+    """Operating system of a virtual process. It leaves nothing to that of this machine.
 
     Args:
         process: Process that sees this system.

@@ -6,11 +6,11 @@ down. The safety gate brakes at the smallest legal distance, whatever is compute
 
 from __future__ import annotations
 
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 
-from dual_ur10.sim2real.control.clearance import MINIMUM_M
+from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance
 from dual_ur10.sim2real.control.time_scaling import scaling_from_slider
 from dual_ur10.types import Array, Mask
 
@@ -42,17 +42,6 @@ def proximity_scaling(spare_m: Array, speed_m_s: Array) -> float:
     return min(max(float((allowed / speed_m_s[near]).min()), LEAST_SCALING), 1.0)
 
 
-class Distances(Protocol):
-    """Distances between bodies; see `dual_ur10.sim2real.control.clearance.Clearance`."""
-
-    @property
-    def exempt(self) -> Mask:
-        """Return a (pairs,) mask of pairs that a task brings together on purpose."""
-
-    def spare_m(self, q_rad: Array) -> Array:
-        """Return the distance above the legal minimum, (n, pairs), at configurations (n, 12)."""
-
-
 class ProximityScaling:
     """Time scaling of one cell from the clearance at the newest target and where the gate's brake would end.
 
@@ -63,7 +52,7 @@ class ProximityScaling:
         period_s: Duration of a window of targets at a scaling of 1.
     """
 
-    def __init__(self, distances: Distances, period_s: float) -> None:
+    def __init__(self, distances: Clearance, period_s: float) -> None:
         self._distances, self._period_s = distances, period_s
         self._counted: Mask = ~distances.exempt
 

@@ -75,27 +75,50 @@ class Event(Protocol):
         """Wait until it is set or the timeout, s, has passed; return True if it is set."""
 
 
-class System(Protocol):
-    """Operating system as one process sees it."""
+class _DaemonThread(threading.Thread):
+    """Thread that can be joined from itself, as when the garbage collector runs in it."""
 
-    @property
-    def clock(self) -> Clock:
-        """Clock."""
+    def join(self, timeout: float | None = None) -> None:
+        if self is not threading.current_thread():
+            super().join(timeout)
 
-    @property
-    def pid(self) -> int:
-        """Number of this process."""
+
+class System:
+    """Operating system of this machine, as one process sees it. A `VirtualCell` derives its own."""
+
+    def __init__(self) -> None:
+        self.clock: Clock = SystemClock()
 
     @property
     def control(self) -> Callable[[str], Any] | None:
         """Factory of the control interface of the controller at an address; None: that of `ur_rtde`."""
+        return None
+
+    @property
+    def pid(self) -> int:
+        """Number of this process."""
+        return os.getpid()
 
     def state_folder(self) -> Path:
-        """Return the folder of faults and locks of this user.
+        """Return the folder of faults and locks of this user: in `$XDG_STATE_HOME`, or `~/.local/state`.
 
         Raises:
             SettingsError: It cannot be created, or belongs to another user.
         """
+        home = os.environ.get("XDG_STATE_HOME", "")
+        path = (Path(home) if os.path.isabs(home) else Path.home() / ".local" / "state") / "dual_ur10"
+        try:
+            path.mkdir(mode=0o700, parents=True, exist_ok=True)
+            if path.stat().st_uid != os.getuid():
+                raise SettingsError(
+                    f"{path} belongs to another user: faults and locks of cells are kept there. Remove it"
+                )
+            path.chmod(0o700)
+        except OSError as error:
+            raise SettingsError(
+                f"cannot keep faults and locks of cells in {path}: {error}. Set XDG_STATE_HOME"
+            ) from error
+        return path
 
     def connect(self, host: str, port: int, within_s: float, *, quick: bool = False) -> Transport:
         """Connect to a port.
@@ -109,6 +132,7 @@ class System(Protocol):
         Raises:
             OSError: There is no connection in time.
         """
+        return TcpTransport.connect(host, port, within_s, quick=quick)
 
     def listen(self, host: str, port: int, send_buffer_bytes: int = 0) -> Listener:
         """Listen on a port; see `TcpListener`.
@@ -116,9 +140,11 @@ class System(Protocol):
         Raises:
             OSError: The address cannot be listened on.
         """
+        return TcpListener(host, port, send_buffer_bytes)
 
     def channel(self) -> tuple[Transport, Transport]:
         """Return two connected ends, the second of which goes to a child process."""
+        return TcpTransport.pair()
 
     def spawn(
         self,
@@ -137,122 +163,6 @@ class System(Protocol):
             channel: End of a channel, which becomes the first argument. It is closed here.
             output: Called in a thread with each line that the process prints; see `Child`. None: it prints them.
         """
-
-    def is_running(self, pid: int) -> bool:
-        """Return True if a process of this number exists and has not ended."""
-
-    def killer(self, pid: int) -> Callable[[], None] | None:
-        """Return a function that kills a running process and no later one of the same number; None: it has ended."""
-
-    def is_orphan(self, parent: int) -> bool:
-        """Return True if the process that started this one has ended."""
-
-    def end(self) -> None:
-        """End this process at once, without clean-up."""
-
-    def ignore_interrupts(self) -> None:
-        """Ignore Ctrl-C in this process."""
-
-    def terminated(self) -> Event:
-        """Return an event that is set once this process is asked to terminate (SIGTERM)."""
-
-    def dedicate(self, rt_priority: int = 0, *, collect: bool = True, sends: bool = False) -> None:
-        """Give this process priority, and freeze the garbage collector so that it does not delay deadlines.
-
-        Args:
-            rt_priority: Real-time priority; 0: none.
-            collect: Keep collecting what is created later.
-            sends: It sends targets to an arm, and interrupts the other processes with deadlines.
-
-        Raises:
-            SettingsError: The real-time priority is refused.
-        """
-
-    def hurry(self) -> Callable[[], None]:
-        """Let the calling thread run soon after it wakes, without more processor time than its share.
-
-        Returns:
-            Function that undoes it, for the same thread.
-        """
-
-    def garbage(self) -> GarbageCollector:
-        """Return the garbage collector of a program that moves two arms."""
-
-    def bar_connections(self) -> None:
-        """Prevent this process from opening files and connections."""
-
-    def thread(self, work: Callable[[], None], name: str) -> Thread:
-        """Start a thread that does not keep the process alive."""
-
-    def event(self) -> Event:
-        """Return a new event."""
-
-    def lock(self) -> contextlib.AbstractContextManager[Any]:
-        """Return a new lock, which may be held while waiting for connections."""
-
-    def worker(self, name: str) -> Executor:
-        """Return an executor of one thread for computations."""
-
-
-class _DaemonThread(threading.Thread):
-    """Thread that can be joined from itself, as when the garbage collector runs in it."""
-
-    def join(self, timeout: float | None = None) -> None:
-        if self is not threading.current_thread():
-            super().join(timeout)
-
-
-class LocalSystem:
-    """Operating system of this machine."""
-
-    control = None
-
-    def __init__(self) -> None:
-        self.clock: Clock = SystemClock()
-
-    @property
-    def pid(self) -> int:
-        """See `System`."""
-        return os.getpid()
-
-    def state_folder(self) -> Path:
-        """See `System`. It is in `$XDG_STATE_HOME`, or `~/.local/state`."""
-        home = os.environ.get("XDG_STATE_HOME", "")
-        path = (Path(home) if os.path.isabs(home) else Path.home() / ".local" / "state") / "dual_ur10"
-        try:
-            path.mkdir(mode=0o700, parents=True, exist_ok=True)
-            if path.stat().st_uid != os.getuid():
-                raise SettingsError(
-                    f"{path} belongs to another user: faults and locks of cells are kept there. Remove it"
-                )
-            path.chmod(0o700)
-        except OSError as error:
-            raise SettingsError(
-                f"cannot keep faults and locks of cells in {path}: {error}. Set XDG_STATE_HOME"
-            ) from error
-        return path
-
-    def connect(self, host: str, port: int, within_s: float, *, quick: bool = False) -> Transport:
-        """See `System`."""
-        return TcpTransport.connect(host, port, within_s, quick=quick)
-
-    def listen(self, host: str, port: int, send_buffer_bytes: int = 0) -> Listener:
-        """See `System`."""
-        return TcpListener(host, port, send_buffer_bytes)
-
-    def channel(self) -> tuple[Transport, Transport]:
-        """See `System`."""
-        return TcpTransport.pair()
-
-    def spawn(
-        self,
-        function: Callable[..., None],
-        *arguments: Any,
-        name: str = "",
-        channel: Transport | None = None,
-        output: Callable[[str], None] | None = None,
-    ) -> Process:
-        """See `System`."""
         if channel is None:
             return Child(function, *arguments, name=name, output=output)
         number = channel.fileno()
@@ -263,7 +173,7 @@ class LocalSystem:
             channel.close()
 
     def is_running(self, pid: int) -> bool:
-        """See `System`."""
+        """Return True if a process of this number exists and has not ended."""
         try:
             os.kill(pid, 0)
         except ProcessLookupError:
@@ -279,7 +189,7 @@ class LocalSystem:
         return True
 
     def killer(self, pid: int) -> Callable[[], None] | None:
-        """See `System`."""
+        """Return a function that kills a running process and no later one of the same number; None: it has ended."""
         try:
             handle = os.pidfd_open(pid)
         except OSError:
@@ -292,25 +202,34 @@ class LocalSystem:
         return kill
 
     def is_orphan(self, parent: int) -> bool:
-        """See `System`."""
+        """Return True if the process that started this one has ended."""
         return os.getppid() != parent
 
     def end(self) -> None:
-        """See `System`."""
+        """End this process at once, without clean-up."""
         os._exit(0)
 
     def ignore_interrupts(self) -> None:
-        """See `System`."""
+        """Ignore Ctrl-C in this process."""
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def terminated(self) -> Event:
-        """See `System`."""
+        """Return an event that is set once this process is asked to terminate (SIGTERM)."""
         event = threading.Event()
         signal.signal(signal.SIGTERM, lambda *_: event.set())
         return event
 
     def dedicate(self, rt_priority: int = 0, *, collect: bool = True, sends: bool = False) -> None:
-        """See `System`."""
+        """Give this process priority, and freeze the garbage collector so that it does not delay deadlines.
+
+        Args:
+            rt_priority: Real-time priority; 0: none.
+            collect: Keep collecting what is created later.
+            sends: It sends targets to an arm, and interrupts the other processes with deadlines.
+
+        Raises:
+            SettingsError: The real-time priority is refused.
+        """
         gc.collect()
         gc.freeze()
         if not collect:
@@ -319,7 +238,11 @@ class LocalSystem:
         hasten(rt_priority, SLICE_S if sends else LONGER_SLICE_S)
 
     def hurry(self) -> Callable[[], None]:
-        """See `System`."""
+        """Let the calling thread run soon after it wakes, without more processor time than its share.
+
+        Returns:
+            Function that undoes it, for the same thread.
+        """
         before_s = shorten_slice(inherited=False)
 
         def relax() -> None:
@@ -328,11 +251,11 @@ class LocalSystem:
         return relax
 
     def garbage(self) -> GarbageCollector:
-        """See `System`."""
+        """Return the garbage collector of a program that moves two arms."""
         return GarbageCollector()
 
     def bar_connections(self) -> None:
-        """See `System`.
+        """Prevent this process from opening files and connections.
 
         The descriptors of standard input, output and error are taken, and no higher ones are allowed.
         """
@@ -343,25 +266,25 @@ class LocalSystem:
         resource.setrlimit(resource.RLIMIT_NOFILE, (_STANDARD, _STANDARD))
 
     def thread(self, work: Callable[[], None], name: str) -> Thread:
-        """See `System`."""
+        """Start a thread that does not keep the process alive."""
         thread = _DaemonThread(target=work, name=name, daemon=True)
         thread.start()
         return thread
 
     def event(self) -> Event:
-        """See `System`."""
+        """Return a new event."""
         return threading.Event()
 
     def lock(self) -> contextlib.AbstractContextManager[Any]:
-        """See `System`."""
+        """Return a new lock, which may be held while waiting for connections."""
         return threading.Lock()
 
     def worker(self, name: str) -> Executor:
-        """See `System`."""
+        """Return an executor of one thread for computations."""
         return ThreadPoolExecutor(1, name)
 
 
-LOCAL: Final[System] = LocalSystem()
+LOCAL: Final = System()
 """This machine."""
 
 

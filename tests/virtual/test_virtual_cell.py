@@ -12,6 +12,7 @@ import pytest
 import dual_ur10  # noqa: F401  # registers the environments
 from dual_ur10.errors import CellFaulted, SettingsError, UnknownNameError, VirtualCellError
 from dual_ur10.policies import load
+from dual_ur10.sim2real.processes.system import System
 from dual_ur10.testing import VirtualCell, check_policy
 
 
@@ -120,6 +121,14 @@ def test_controllers_that_end_close_their_connections():
         assert client.receive_now(1) == b""
         with pytest.raises(ConnectionRefusedError):
             cell.system.connect(cell.left, 30004, 1.0)
+
+
+def test_its_system_leaves_nothing_to_this_machine():
+    with VirtualCell() as cell:
+        assert isinstance(cell.system, System)
+        public = {name for name in vars(System) if not name.startswith("_")}
+        assert len(public) > 20
+        assert not public - set(vars(type(cell.system)))
 
 
 def test_closing_twice_is_fine():

@@ -7,8 +7,6 @@ from pathlib import Path
 
 import dual_ur10
 import ur_emulator
-from dual_ur10.sim2real.processes.system import System
-from ur_emulator.virtual.virtual_system import VirtualSystem
 
 LABELS = {"sim2real/recording/header.py": {"now"}, "sim2real/processes/clock.py": {"now"}}
 """Modules that write the time of day into texts for people, and the functions they call."""
@@ -48,9 +46,3 @@ def test_calls_are_found():
 
     assert time_functions(textwrap.dedent(inspect.getsource(code))) == {"time", "now"}
     assert time_functions("from time import time_ns, monotonic") == {"time_ns"}
-
-
-def test_a_virtual_system_leaves_nothing_to_this_machine():
-    public = {name for name in vars(System) if not name.startswith("_")}
-    assert len(public) > 20
-    assert not public - set(vars(VirtualSystem))

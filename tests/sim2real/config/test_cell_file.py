@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import dataclasses
 import os
-import random
 import re
 import tomllib
 from pathlib import Path
@@ -570,53 +569,6 @@ def test_paths_that_are_no_file_are_refused(tmp_path: Path) -> None:
         load_cell_file(tmp_path / "round")
     with pytest.raises(CellFileError):
         load_cell_file(tmp_path / ("x" * 5000))
-
-
-ODD = ["nan", "-inf", "true", "''", '"x"', "[]", "{}", "[[]]", "1e400", "-0.0", "0x10", "1_0", "1979-05-27", "9" * 400]
-
-
-def mutated(text: str, chance: random.Random) -> str:
-    for _ in range(chance.randint(1, 4)):
-        lines = text.split("\n")
-        row, other = chance.randrange(len(lines)), chance.randrange(len(lines))
-        edit = chance.randrange(6)
-        if edit == 0 and text:
-            at = chance.randrange(len(text))
-            text = text[:at] + chance.choice('[]{}="\\\n.#,-0a\x00\x1bé😀') + text[at + chance.randint(0, 3) :]
-        elif edit == 1:
-            del lines[row]
-            text = "\n".join(lines)
-        elif edit == 2:
-            lines[row], lines[other] = lines[other], lines[row]
-            text = "\n".join(lines)
-        elif edit == 3 and " = " in lines[row]:
-            lines[row] = f"{lines[row].split(' = ')[0]} = {chance.choice(ODD)}"
-            text = "\n".join(lines)
-        elif edit == 4 and " = " in lines[row] and " = " in lines[other]:
-            lines[row] = f"{lines[row].split(' = ')[0]} = {lines[other].split(' = ')[1]}"
-            text = "\n".join(lines)
-        elif edit == 5:
-            text = text[: chance.randrange(len(text) + 1)] + text[chance.randrange(len(text) + 1) :]
-    return text
-
-
-def test_mutated_texts_are_refused_or_right() -> None:
-    extra = re.sub("^# ?", "", EXAMPLES.split("\n", 1)[1], flags=re.MULTILINE)
-    texts = [toml_text(GOOD) + extra, toml_text(SMALL), starting_text("emulated")]
-    chance, right = random.Random(0), 0
-    for count in range(scaled(10_000)):
-        text = mutated(texts[count % 3], chance)
-        try:
-            cell, findings = examine_text(text)
-            if cell is not None:
-                right += 1
-                assert examine_text(cell.text()) == (cell, [])
-                cell.config()
-            assert (cell is None) == bool(findings)
-            assert all(each.isprintable() for each in findings)
-        except CellFileError:
-            continue
-    assert 0 < right < scaled(10_000) // 2
 
 
 # Configuration for the rest of the package.

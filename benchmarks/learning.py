@@ -1,7 +1,7 @@
-"""Success rates of the learned policies that come with the package, and of a training from nothing.
+"""Success rates of the learned policies that come with the package, and of a training from scratch.
 
 python benchmarks/learning.py [--episodes 300] [--randomization mild,none] [--tasks SineTracking] [--json FILE]
-python benchmarks/learning.py --parts from_nothing --tasks SineTracking --seeds 3 [--plot FILE]
+python benchmarks/learning.py --parts from_scratch --tasks SineTracking --seeds 3 [--plot FILE]
 
 Seeds begin at 0; trainings use other seeds to learn and to check their progress. The intervals are
 Wilson's, of 95 %. On controllers in real time: `python -m dual_ur10 evaluate ENV --policy learned --cell FILE`.
@@ -12,7 +12,7 @@ Parts:
     wide: every policy on "wide" plants.
     cell: every policy on emulated controllers in virtual time, with the task's range drawn at random (`CELL_RANGES`).
         Each episode has a cell of its own, whose plant ("mild") is drawn by its seed; only where it is named.
-    from_nothing: PPO with the settings of `train`, one training after the other; only where it is named. Success,
+    from_scratch: PPO with the settings of `train`, one training after the other; only where it is named. Success,
         return and the ratio of episodes that pass each stage are of the default environment, with the training's
         action mode. The return is a ratio of the scripted policy's on the same seeds; steps and minutes are those of
         the first progress check that had half and 90 % of it. Minutes grow with the load of the machine; cpu_minutes
@@ -47,7 +47,7 @@ from dual_ur10.policies.training import state
 from dual_ur10.policies.training.settings import defaults, task_settings
 from dual_ur10.policies.training.train import train
 
-PARTS = ("shipped", "range", "wide", "cell", "from_nothing", "from_demonstrations")
+PARTS = ("shipped", "range", "wide", "cell", "from_scratch", "from_demonstrations")
 DEMONSTRATIONS: dict[str, dict[str, Any]] = {
     "DualUR10/Handover-v0": {"steps": 5_600, "agents": "shared", "keywords": {"action_mode": "tcp_delta"}},
     "DualUR10/SyncCarry-v0": {"steps": 17_000},
@@ -75,8 +75,8 @@ def main() -> None:
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS[:3])
     parser.add_argument("--randomization", default="mild,none", help="presets of the part shipped, with commas")
     parser.add_argument("--cells", type=int, default=20, help="episodes of the part cell")
-    parser.add_argument("--seeds", type=int, default=3, help="trainings of the part from_nothing")
-    parser.add_argument("--plot", type=Path, help="draw the curves of the part from_nothing to this PNG file")
+    parser.add_argument("--seeds", type=int, default=3, help="trainings of the part from_scratch")
+    parser.add_argument("--plot", type=Path, help="draw the curves of the part from_scratch to this PNG file")
     parser.add_argument("--tasks", default="", help="names, with commas between them; all without")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
@@ -102,8 +102,8 @@ def main() -> None:
                 found["wide"] = measured(env_id, name, "wide", "wide", args.episodes)
             if "cell" in args.parts:
                 found["cell"] = on_cells(env_id, name, args.cells)
-        if "from_nothing" in args.parts:
-            results.setdefault(task, {})["from_nothing"] = from_nothing(env_id, args.episodes, args.seeds, args.plot)
+        if "from_scratch" in args.parts:
+            results.setdefault(task, {})["from_scratch"] = from_scratch(env_id, args.episodes, args.seeds, args.plot)
         if "from_demonstrations" in args.parts and env_id in DEMONSTRATIONS:
             results.setdefault(task, {})["from_demonstrations"] = from_demonstrations(env_id, args.episodes)
     if args.json is not None:
@@ -172,7 +172,7 @@ def on_cells(env_id: str, name: str, episodes: int) -> dict[str, Any]:
     return row
 
 
-def from_nothing(env_id: str, episodes: int, seeds: int, plot: Path | None) -> dict[str, Any]:
+def from_scratch(env_id: str, episodes: int, seeds: int, plot: Path | None) -> dict[str, Any]:
     """Train by PPO, evaluate in the default environment, print each training, draw all, and return the figures."""
     mode = {"action_mode": defaults(env_id, "ppo").keywords.get("action_mode", EnvOptions.action_mode)}
     script = evaluate(env_id, "scripted", episodes=episodes, num_envs=64, env_kwargs=mode).mean_return
@@ -185,7 +185,7 @@ def from_nothing(env_id: str, episodes: int, seeds: int, plot: Path | None) -> d
             found = evaluate(env_id, str(path / "policy"), episodes=episodes, num_envs=64, env_kwargs=mode)
             rows.append({"seed": seed} | cpu | figures_of(path, found, script))
         told = {key: value for key, value in rows[-1].items() if key != "curve"}
-        print(f"{env_id}, PPO from nothing: {json.dumps(told)}", flush=True)
+        print(f"{env_id}, PPO from scratch: {json.dumps(told)}", flush=True)
     if plot is not None:
         draw(plot, env_id, rows)
     return {
@@ -249,7 +249,7 @@ def draw(path: Path, env_id: str, rows: list[dict[str, Any]]) -> None:
         steps, _, share, success = np.array(row["curve"], dtype=float).T
         for each, values in zip(axes, (success, share), strict=True):
             each.plot(steps / 1e6, 100 * values, "o-", markersize=3, label=f"seed {row['seed']}")
-    axes[0].set(ylabel="success, %", ylim=(-3, 103), title=f"{env_id}, PPO from nothing")
+    axes[0].set(ylabel="success, %", ylim=(-3, 103), title=f"{env_id}, PPO from scratch")
     axes[1].set(ylabel="return, % of the script's", xlabel="million steps of the environment", ylim=(-3, 103))
     axes[0].legend(loc="best", fontsize="small")
     for each in axes:

@@ -140,7 +140,7 @@ def carry(count: int, touches: Sequence[Touch]) -> dict[str, Any]:
         )
         base = right_in_left(left, true)
         observed = [touched(each, NOMINAL, base, Noise(), rng) for each in touches]
-        found = estimate(observed, NOMINAL, right_in_left(left, right)).mount(left)
+        found = estimate(observed, NOMINAL, right_in_left(left, right)).mount(left, NOMINAL_DH)
         before.append(squeeze_n(right, shift.tolist(), float(turn)))
         rest = np.subtract(true.position_m, found.position_m)
         after.append(squeeze_n(found, rest.tolist(), true.yaw_rad - found.yaw_rad))

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from dual_ur10.cli import fit as cli_fit
+from dual_ur10.cli import records
 from dual_ur10.errors import CellFileError, RecordingError
 from dual_ur10.sim2real.analysis.cell_update import write_back
 from dual_ur10.sim2real.analysis.fit import ArmFit, Estimate, fit, remark, respond
@@ -269,8 +269,8 @@ def test_fit_reports_it_at_the_terminal(tmp_path: Path, monkeypatch: pytest.Monk
     arm = ArmFit(early, replace(early, latency_s=0.001), 0.03, 2000.0)
     monkeypatch.setattr("dual_ur10.sim2real.analysis.fit.fit", lambda run, episode: (arm, arm))
     monkeypatch.setattr("dual_ur10.sim2real.recording.reader.read_run", lambda path, allow_partial: run(1.0))
-    with cli_fit.console.capture() as shown:
-        cli_fit.fit(tmp_path)
+    with records.console.capture() as shown:
+        records.fit(tmp_path)
     text = shown.get()
     assert text.count("counts as 0") == 2
     assert "note: left, controller alone: the latency is below 0" in text

@@ -14,9 +14,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from dual_ur10.cli import compare as cli_compare
-from dual_ur10.cli import fit as cli_fit
-from dual_ur10.cli import replay as cli_replay
+from dual_ur10.cli import records
 from dual_ur10.errors import CellFileError, DualUR10Error, MissingExtraError, RecordingError
 from dual_ur10.sim2real.analysis import plots
 from dual_ur10.sim2real.analysis.compare import Comparison, compare
@@ -27,7 +25,7 @@ from tests.sim2real.analysis.made import run, with_arm
 from tests.sim2real.analysis.recorded import record
 
 app = typer.Typer()
-for command in (cli_replay.replay, cli_compare.compare, cli_fit.fit):
+for command in (records.replay, records.compare, records.fit):
     app.command()(command)
 
 
@@ -152,7 +150,7 @@ def test_a_replay_that_differs_ends_with_code_1(tmp_path: Path, monkeypatch: pyt
     made.episodes[0].q_rad[3, 0, 0] = np.nextafter(made.episodes[0].q_rad[3, 0, 0], 9.0)
     monkeypatch.setattr("dual_ur10.sim2real.recording.reader.read_run", lambda path, allow_partial: made)
     code, text = called("replay", "anything", "--no-record")
-    assert code == cli_replay.DIFFERENT == 1
+    assert code == records.DIFFERENT == 1
     assert "different: joints in step 2 differ: left shoulder_pan_joint" in text
 
 

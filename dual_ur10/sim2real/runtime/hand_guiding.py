@@ -181,12 +181,12 @@ class HandGuiding(ProgrammedArms):
             StartError: An arm is not ready, or freedrive was not confirmed. No arm was free.
             CellFaulted: An arm faulted, was too fast, or did not end freedrive, which is latched.
         """
-        self._latch.check()
+        self._claim.latch.check()
         self._measured()
         if not self._confirm(self._question()):
             raise StartError("freedrive was not confirmed: no arm was free")
         self._measured()  # the answer may have taken minutes
-        self._note_moving()
+        self._claim.note_moving()
         begun = False
         try:
             token = round(1e3 * self._clock.now_s()) % 2**30
@@ -202,7 +202,7 @@ class HandGuiding(ProgrammedArms):
         except (Exception, KeyboardInterrupt, SystemExit) as error:
             unseen = self._stop(self._guided)
             if isinstance(error, StartError) and not begun:
-                self._in_order = True  # a program that was not told to makes no arm free
+                self._claim.note_stopped()  # a program that was not told to makes no arm free
                 raise
             if not (unseen or isinstance(error, LinkError)):
                 raise

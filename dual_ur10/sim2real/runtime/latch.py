@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import json
+import logging
 import os
 import re
 from dataclasses import dataclass
@@ -16,6 +17,8 @@ from dual_ur10.files import sync_folder
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.processes.system import LOCAL, System
+
+log = logging.getLogger(__name__)
 
 _MOST_BYTES: Final = 64 * 1024
 _TRIES: Final = 4  # to take a lock
@@ -242,6 +245,65 @@ class CellLock:
                         fcntl.flock(file, fcntl.LOCK_UN)  # a forked process has the file open, too
             with contextlib.suppress(OSError):
                 file.close()
+
+
+class Claim:
+    """Claim of a cell's arms by a program that moves them, from before it connects until they rest.
+
+    Nobody else moves them meanwhile, no latched stop waits for a person, and no end of the program goes unnoticed.
+
+    Args:
+        file: Cell file of the arms.
+        system: Clock and state folder.
+
+    Attributes:
+        latch: Faults of the cell.
+
+    Raises:
+        CellFaulted: A latched stop was not cleared, or the previous program left moving arms.
+        CellBusyError: Another program moves one of the arms.
+        SettingsError: A lock cannot be kept.
+        OSError: A fault cannot be latched.
+    """
+
+    def __init__(self, file: CellFile, system: System = LOCAL) -> None:
+        self.latch = Latch(file, system)
+        self.latch.check()
+        self._lock = CellLock(file, system)
+        self._in_order = True
+        try:
+            if self._lock.left_moving:
+                self.latch.set("the program that moved the arms before ended without stopping them in order")
+            self.latch.check()  # again: the previous holder of the lock may have stopped them meanwhile
+        except BaseException:
+            self._lock.release(in_order=False)
+            raise
+
+    def note_moving(self) -> None:
+        """Note on the disk that arms move, until their stop was seen or is latched.
+
+        Raises:
+            SettingsError: The note cannot be written.
+        """
+        self._lock.note_moving()
+        self._in_order = False
+
+    def note_stopped(self, seen: bool = True) -> None:
+        """Note whether all arms were seen to have stopped, or not to have begun."""
+        self._in_order = seen
+
+    def latch_stop(self, reason: str) -> None:
+        """Latch a stop of both arms. If that fails, the note of moving arms stays."""
+        self._in_order = False
+        try:
+            self.latch.set(reason)
+            self._in_order = True
+        except OSError as error:
+            log.error("both arms were stopped (%s), and the fault cannot be latched: %s", reason, error)
+
+    def release(self) -> None:
+        """Let other programs move the arms. May be called twice."""
+        self._lock.release(in_order=self._in_order)
 
 
 def _write(file: IO[str], text: str) -> None:

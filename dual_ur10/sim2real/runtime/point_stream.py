@@ -152,7 +152,7 @@ class PointStream(ProgrammedArms):
             StartError: An arm is not ready, or the motion was not confirmed. Nothing has moved.
             CellFaulted: Both arms were stopped, which is latched.
         """
-        self._latch.check()
+        self._claim.latch.check()
         self.check(path)
         here = self.measured()
         off = np.abs(here - path.q_rad[0])
@@ -168,18 +168,18 @@ class PointStream(ProgrammedArms):
         motion = StreamMotion(
             self._arms, path, self.profile, self._clock, feedback, emulated=self._file.kind == "emulated"
         )
-        self._note_moving()
+        self._claim.note_moving()
         try:
             for arm in self._arms:
                 self._token += 1
                 arm.upload(self._script(self._token), self._token)
             reached = motion.run(canceled or (lambda: False))
-            self._in_order = True
+            self._claim.note_stopped()
             return reached
         except (Exception, KeyboardInterrupt, SystemExit) as error:
             self._stop(self._arms)
             if isinstance(error, StartError) and not motion.begun:
-                self._in_order = True  # a program that was not told to move does not
+                self._claim.note_stopped()  # a program that was not told to move does not
                 raise
             faulted = self._latched(error)
             if not isinstance(error, DualUR10Error):

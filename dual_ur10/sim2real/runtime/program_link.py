@@ -7,7 +7,6 @@ program is to stop the other arm.
 from __future__ import annotations
 
 import contextlib
-import logging
 import struct
 from collections.abc import Callable, Sequence
 from typing import Any, Final, Protocol
@@ -29,7 +28,7 @@ from dual_ur10.sim2real.processes.clock import Clock
 from dual_ur10.sim2real.processes.system import System
 from dual_ur10.sim2real.protocol.modes import RuntimeState
 from dual_ur10.sim2real.protocol.rtde import Kind, frame
-from dual_ur10.sim2real.runtime.latch import CellLock, Latch
+from dual_ur10.sim2real.runtime.latch import Claim
 from dual_ur10.sim2real.runtime.runner import check
 from dual_ur10.sim2real.runtime.stream_script import (
     INPUTS,
@@ -42,8 +41,6 @@ from dual_ur10.sim2real.runtime.stream_script import (
     State,
 )
 from dual_ur10.types import Array, Closing
-
-log = logging.getLogger(__name__)
 
 CONNECT_S: Final = 6.0
 """Time limit of each connection with its requests, on a slow link."""
@@ -251,16 +248,9 @@ class ProgrammedArms(Closing):
         self._clearance = Clearance(
             config.measured_scene, minimum_m=config.minimum_clearance_m, uncertainty=config.uncertainty
         )
-        self._latch = Latch(file, system)
-        self._latch.check()
         self._arms: list[ProgramLink] = []
-        self._lock = CellLock(file, system)
-        self._in_order = not self._lock.left_moving  # no arm moves, or its stop is latched
+        self._claim = Claim(file, system)
         with self.closed_on_error():
-            if self._lock.left_moving:
-                self._latch.set("the program that moved the arms before ended without stopping them in order")
-                self._in_order = True
-            self._latch.check()
             check(file, system, timeout_s=CONNECT_S, streams=False)
             for name, entry in zip(ARMS, file.arms, strict=True):
                 self._arms.append(ProgramLink(name, entry, rate_hz, most_s, observer, system))
@@ -285,33 +275,16 @@ class ProgrammedArms(Closing):
             found.append(status.q_rad)
         return np.array(found)
 
-    def _note_moving(self) -> None:
-        """Note that arms move, until their stop was seen or is latched.
-
-        Raises:
-            SettingsError: The note cannot be written.
-        """
-        self._lock.note_moving()
-        self._in_order = False
-
     def _stop(self, arms: Sequence[ProgramLink]) -> tuple[str, ...]:
         """Stop the programs of arms, and return the names of those that did not report their end."""
         unseen = stop_programs(arms, self._clock)
-        self._in_order = not unseen
+        self._claim.note_stopped(not unseen)
         return unseen
 
     def _latched(self, error: BaseException) -> CellFaulted:
-        """Latch the stop that an error was the reason of, and return the exception that reports it.
-
-        If that fails, the lock keeps its note of moving arms.
-        """
+        """Latch the stop that an error was the reason of, and return the exception that reports it."""
         reason = str(error) if isinstance(error, DualUR10Error) else f"the sending program ended: {error!r}"
-        self._in_order = False
-        try:
-            self._latch.set(reason)
-            self._in_order = True
-        except OSError as failure:
-            log.error("both arms were stopped (%s), and the fault cannot be latched: %s", reason, failure)
+        self._claim.latch_stop(reason)
         if self._observer is not None:
             self._observer.stopped(reason)
         return CellFaulted(
@@ -322,7 +295,7 @@ class ProgrammedArms(Closing):
         """Release both controllers. May be called twice."""
         for arm in self._arms:
             arm.close()
-        self._lock.release(in_order=self._in_order)
+        self._claim.release()
 
 
 def check_ended(unseen: Sequence[str]) -> None:

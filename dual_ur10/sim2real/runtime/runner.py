@@ -27,7 +27,7 @@ from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_process import ArmConnection, ArmProcess
 from dual_ur10.sim2real.runtime.arm_sender import STALE_S, START_GAP_RAD, root_cause, was_requested
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
-from dual_ur10.sim2real.runtime.latch import CellLock, Latch
+from dual_ur10.sim2real.runtime.latch import Claim
 from dual_ur10.sim2real.runtime.safety_monitor import MonitorSettings
 from dual_ur10.sim2real.runtime.supervisor import SupervisorProcess
 from dual_ur10.types import Array
@@ -77,20 +77,11 @@ class Runner:
     def __init__(self, file: CellFile, config: CellConfig, *, coupled: bool, system: System = LOCAL) -> None:
         self.clock = system.clock
         self.file, self.tick_s = file, config.servoj.tick_s
-        self.latch = Latch(file, system)
-        self.latch.check()
-        self._lock = CellLock(file, system)
-        try:
-            if self._lock.left_moving:
-                self.latch.set("the program that moved the arms before ended without stopping them in order")
-            self.latch.check()  # again: the previous holder of the lock may have stopped them meanwhile
-        except BaseException:
-            self._lock.release(in_order=False)
-            raise
+        self._claim = Claim(file, system)
+        self.latch = self._claim.latch
         self.margin_ticks = margin_ticks(self.tick_s)
         self._stalls = StallWatch(file.kind == "emulated")
         self._fault = ""
-        self._noted = True  # False if a fault could not be latched
         self._closed = False
         self.stopped = False
         self._pid = os.getpid()
@@ -211,7 +202,7 @@ class Runner:
                 )
             if reason is not None:
                 raise StartError(f"{name} cannot begin: {reason}")
-        self._lock.note_moving()
+        self._claim.note_moving()
         self._put(0, np.asarray(q_rad)[None])
         factor = self.file.speed_factor
         self.cell.set_time_scaling(TimeScaling(0.0, 0.0, factor, factor))
@@ -351,14 +342,9 @@ class Runner:
         self._note()
 
     def _note(self) -> None:
-        """Latch the fault. If that fails, the lock keeps its note of moving arms."""
-        if self._is_unmoved:
-            return
-        try:
-            self.latch.set(self._fault)
-        except OSError as error:
-            self._noted = False
-            log.error("both arms were stopped (%s), and the fault cannot be latched: %s", self._fault, error)
+        """Latch the fault, unless nothing has moved."""
+        if not self._is_unmoved:
+            self._claim.latch_stop(self._fault)
 
     def _wait_for_end(self, within_s: float) -> None:
         end = self.clock.now_s() + within_s
@@ -396,8 +382,10 @@ class Runner:
                     if not self._fault and (why := self._stop_failure()):
                         self._fault = self.cell.fault or why
                         self._note()
+                    elif not self._fault or self._is_unmoved:
+                        self._claim.note_stopped()
                 finally:
-                    self._lock.release(in_order=self._noted)
+                    self._claim.release()
                     self._closed = True
                     if self.arms:
                         self.cell.close()

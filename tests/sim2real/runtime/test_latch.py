@@ -18,7 +18,7 @@ from dual_ur10.sim2real.config.cell_file import CellFile, load_cell_file
 from dual_ur10.sim2real.config.cell_file_tables import EmulatorEntry
 from dual_ur10.sim2real.processes.system import LOCAL
 from dual_ur10.sim2real.runtime import latch
-from dual_ur10.sim2real.runtime.latch import CellLock, Latch
+from dual_ur10.sim2real.runtime.latch import CellLock, Claim, Latch
 
 TEXT = 'kind = "emulated"\n[left]\nhost = "{}"\n[right]\nhost = "{}"\n'
 
@@ -328,6 +328,52 @@ def test_the_note_of_moving_arms_stays_until_it_is_latched(cell, tmp_path):
     lock = CellLock(cell)
     assert not lock.left_moving
     lock.release()
+
+
+def full(*_):
+    raise OSError(28, "No space left on device")
+
+
+@pytest.mark.parametrize(
+    ("ends", "found"),
+    [
+        (lambda claim: None, "ended without stopping them in order"),
+        (lambda claim: claim.note_stopped(False), "ended without stopping them in order"),
+        (lambda claim: claim.latch_stop("a hand was in the way"), "a hand was in the way"),
+        (lambda claim: claim.note_stopped(), None),
+    ],
+)
+def test_a_claim_ends_in_order_only_if_arms_rest_or_their_stop_is_latched(cell, ends, found):
+    claim = Claim(cell)
+    claim.note_moving()
+    ends(claim)
+    claim.release()
+    if found is not None:
+        for _ in range(2):
+            with pytest.raises(CellFaulted, match=found):
+                Claim(cell)
+        Latch(cell).clear()
+    claim = Claim(cell)
+    claim.latch_stop("seen by nobody")
+    claim.release()
+    with pytest.raises(CellFaulted, match="seen by nobody"):
+        Claim(cell)
+
+
+def test_a_claim_that_cannot_latch_a_stop_keeps_the_note(cell, monkeypatch, caplog):
+    claim = Claim(cell)
+    claim.note_moving()
+    claim.note_stopped()
+    with monkeypatch.context() as patch:
+        patch.setattr(latch.Latch, "set", full)
+        claim.latch_stop("a hand was in the way")
+        claim.release()
+        assert "cannot be latched" in caplog.text
+        with pytest.raises(OSError, match="No space"):
+            Claim(cell)  # nor that of the program before: nobody holds the arms, and the note stays
+    assert Latch(cell).read() is None
+    with pytest.raises(CellFaulted, match="ended without stopping them in order"):
+        Claim(cell)
 
 
 def test_a_lock_that_cannot_be_written_is_released_all_the_same(cell, monkeypatch):

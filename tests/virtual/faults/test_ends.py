@@ -82,6 +82,21 @@ def test_59_the_next_start_learns_of_a_stop_that_was_not_latched(lab):
         lab.make()
 
 
+def test_59_the_next_start_learns_of_an_end_that_failed(lab):
+    """Nobody knows whether the arms rest."""
+    lab.begin()
+
+    def fails():
+        raise RuntimeError("out of memory")
+
+    lab.runner._stop_failure = fails
+    with pytest.raises(RuntimeError, match="out of memory"):
+        lab.close_env()
+    assert lab.latch.read() is None
+    with pytest.raises(CellFaulted, match="ended without stopping them in order"):
+        lab.make()
+
+
 def test_29_a_controller_stop_during_a_ramp_is_latched(lab):
     lab.begin()
     runner = lab.runner

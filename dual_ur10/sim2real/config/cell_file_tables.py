@@ -453,7 +453,7 @@ class CapsuleEntry(_ObstacleEntry):
 
 
 class PlaneEntry(_ObstacleEntry):
-    """Wall without end."""
+    """Infinite plane."""
 
     kind: Literal["plane"] = "plane"
     point_m: Vector[Coordinate] = key("a point of the plane", example=(1, 0, 0))

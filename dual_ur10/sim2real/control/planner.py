@@ -37,7 +37,7 @@ _RANGE_RAD: Final = 0.1  # sampled configurations stay as far from the ends of t
 _AROUND_RAD: Final = np.pi  # samples are at most this far beyond both ends: half a revolution meets all directions
 _LEAST_RAD: Final = 0.02  # shorter branches are not kept
 _SHORTCUTS: Final = 60
-_LOOKED_AT: Final = 201  # configurations of a straight path, for a message
+_CHECKED_SAMPLES: Final = 201  # configurations of a straight path, for a message
 
 # Weights of the joints in the distance between configurations: rounded reach of what each one moves, in m.
 _WEIGHTS: Final = np.tile([1.5, 1.5, 1.0, 0.4, 0.3, 0.1], 2)
@@ -101,7 +101,7 @@ def _direct(start: Array, goal: Array) -> list[list[Array]]:
 def nearest_on_straight(distances: Distances, start_rad: Array, goal_rad: Array) -> str:
     """Return the pair that has the least to spare on the straight path between two configurations, in words."""
     start, goal = np.reshape(start_rad, 12), np.reshape(goal_rad, 12)
-    along = start + np.linspace(0.0, 1.0, _LOOKED_AT)[:, None] * (goal - start)
+    along = start + np.linspace(0.0, 1.0, _CHECKED_SAMPLES)[:, None] * (goal - start)
     pair, distance, allowed = min((distances.worst(q) for q in along), key=lambda found: found[1] - found[2])
     return f"{pair} would come within {1e3 * distance:.0f} mm, allowed are {1e3 * allowed:.0f} mm"
 

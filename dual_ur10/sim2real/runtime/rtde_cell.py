@@ -118,7 +118,7 @@ class RtdeCell:
         self._mirror = MirrorModel(config.scene)
         self._origin: int | None = None  # number of the target of tick 0 of the episode
         self._elapsed = 0
-        self._paused = False  # no command was owed since the last one
+        self._paused = False  # no command was due since the last one
         self._temperature = [TemperatureWarning(name) for name in ARMS]
         self._grippers: Grippers | None = None
         self._trackers: dict[str, ObjectTracker] = {}

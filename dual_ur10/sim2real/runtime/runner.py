@@ -244,7 +244,7 @@ class Runner:
         """
         found = [memory.status for memory in self.arms]
         if any(each is None for each in found):
-            raise StartError("a controller has not sent its state yet: make the cell again")
+            raise StartError("a controller has not sent its state yet: make the environment again")
         return [each for each in found if each is not None]
 
     def statuses_after(self, index: float) -> list[ArmStatus]:

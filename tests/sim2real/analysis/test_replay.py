@@ -193,6 +193,12 @@ def headed(run: Run, **values: Any) -> Run:
         ({"kwargs": {"cell": {"family": "cb3"}}}, "the cell of the recording is not legal: .*'family'"),
         ({"kwargs": {"cell": {"servoj": {"gain": 9e9}}}}, "is not legal: servoj gain"),
         ({"kwargs": {"cell": {"obstacles": [{"radius": 1}]}}}, "is not legal: .*obstacle"),
+        *(
+            ({"kwargs": {"cell": each}}, "a simulated run's is not a file")
+            for each in ("lab.toml", "/a/lab.toml", "./x/y")
+        ),
+        *(({"kwargs": each}, r"cannot be made|not legal") for each in ({"cameras": [[1]]}, {"id": "x"})),
+        ({"env_id": ENV_IDS[2]}, "numbers of an action: 12 in the recording, 14"),
         ({"speed_factor": 0.0}, "speed_factor of the recording is 0.0"),
         ({"speed_factor": 1.5}, "speed_factor of the recording is 1.5"),
         (
@@ -218,11 +224,6 @@ def headed(run: Run, **values: Any) -> Run:
 def test_what_does_not_fit_is_refused(sine: Run, values: dict[str, Any], words: str) -> None:
     with pytest.raises(RecordingError, match=words):
         replay(headed(sine, **values))
-
-
-def test_another_action_mode_is_another_size_or_refused(tmp_path: Path, sine: Run) -> None:
-    with pytest.raises(RecordingError, match="numbers of an action: 12 in the recording, 14"):
-        replay(headed(sine, env_id=ENV_IDS[2]))
 
 
 @pytest.mark.parametrize(
@@ -264,18 +265,6 @@ def test_a_cell_is_refused_before_anything_is_made(sine: Run, tmp_path: Path) ->
     path.write_text(text)
     with pytest.raises(RecordingError, match="the cell has e-series"):
         replay(sine, path)
-
-
-@pytest.mark.parametrize("cell", ["lab.toml", "/some/where/lab.toml", "./x/y"])
-def test_a_recording_marked_as_simulated_moves_no_arms(sine: Run, tmp_path: Path, cell: str) -> None:
-    with pytest.raises(RecordingError, match="a simulated run's is not a file"):
-        replay(replace(sine, header=replace(sine.header, kwargs={"cell": cell})))
-
-
-@pytest.mark.parametrize("keywords", [{"cameras": [[1]]}, {"id": "x"}])
-def test_keywords_that_no_environment_takes_are_refused(sine: Run, keywords: dict[str, Any]) -> None:
-    with pytest.raises(RecordingError, match=r"cannot be made|not legal"):
-        replay(replace(sine, header=replace(sine.header, kwargs=keywords)))
 
 
 def test_an_episode_without_its_beginning_is_not_replayed(sine: Run) -> None:

@@ -24,13 +24,20 @@ from dual_ur10.sim2real.control.proximity import ProximityScaling
 from dual_ur10.sim2real.processes.interrupts import interrupts_deferred
 from dual_ur10.sim2real.trajectory.course import Course
 from dual_ur10.sim2real.trajectory.course_stepper import CourseStepper, Departure
-from dual_ur10.sim2real.trajectory.goal import REST_RAD_S, GoalState, TrajectoryGoal
+from dual_ur10.sim2real.trajectory.goal import (
+    REST_RAD_S,
+    GoalState,
+    TrajectoryGoal,
+    feedback_of,
+    misplaced,
+    off_goal,
+    off_path,
+)
 from dual_ur10.sim2real.trajectory.handle import GoalHandle
 from dual_ur10.sim2real.trajectory.interpolation import Interpolation
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, ResultCode
 from dual_ur10.sim2real.trajectory.path_check import PathCheck, TargetLaw
 from dual_ur10.sim2real.trajectory.smooth_path import ROUNDING_S, SmoothPath
-from dual_ur10.sim2real.trajectory.tolerances import feedback_of, misplaced, off_goal, off_path
 from dual_ur10.types import Array, Closing
 
 LEAST_SCALING: Final = 0.01

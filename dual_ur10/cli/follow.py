@@ -323,7 +323,9 @@ def _print(goal: TrajectoryGoal, handle: GoalHandle, result: Result) -> None:
 def follow_points(
     file: _File,
     cell: Annotated[Path, typer.Option("--cell", metavar="FILE", help="The cell file of both controllers.")],
-    rate: Annotated[float, typer.Option("--rate", metavar="HZ", help="Points per second: 50, 25, 10, 5 or 2.")],
+    rate: Annotated[
+        float, typer.Option("--rate", metavar="HZ", help="Points per second, at least 2; below 5 by movej.")
+    ],
     power: PowerOn = False,
     partial: _Partial = False,
 ) -> None:

@@ -10,6 +10,7 @@ cells, arms and joints.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -83,16 +84,12 @@ def path(period_s: float, times_s: Array, periods: int, free: bool = False) -> P
         free: The path meets the continuation's derivatives only, wherever that is.
     """
     horizon = periods * period_s
-    meets = _ORDERS[1:] if free else _ORDERS
-    powers = np.eye(len(_ORDERS) + len(meets))
-    conditions = [(0.0, order) for order in _ORDERS] + [(1.0, order) for order in meets]
-    equations = np.array([_derivative(powers, x, order) for x, order in conditions])
-    coefficients = np.zeros((len(powers), VALUES))
-    known = [order + (MEETING if x else POSITION) for x, order in conditions]
-    coefficients[:, known] = np.linalg.solve(equations, np.diag([horizon**order for _, order in conditions]))
     times = np.append(times_s, period_s)
     x, after = np.minimum(times / horizon, 1.0), np.maximum(times - horizon, 0.0)[:, None]
-    position, speed, acceleration, jerk = (_derivative(coefficients, x, order).T / horizon**order for order in _ORDERS)
+    position, speed, acceleration, jerk = (
+        np.asarray(polynomial.polyval(x, each)).T / horizon**order
+        for order, each in enumerate(_polynomials(horizon, free))
+    )
     position = position + after * (speed + after / 2 * (acceleration + after / 3 * jerk))
     speed = speed + after * (acceleration + after / 2 * jerk)
     acceleration = acceleration + after * jerk
@@ -100,6 +97,23 @@ def path(period_s: float, times_s: Array, periods: int, free: bool = False) -> P
     return PathRows(position[:-1], speed[:-1], acceleration[:-1], end)
 
 
+@lru_cache(maxsize=128)
+def _polynomials(horizon_s: float, free: bool) -> tuple[Array, ...]:
+    """Return the coefficients of a path in fractions of its horizon, and of its derivatives; each (k, 8).
+
+    Every environment needs those of the same few horizons: they take longer than all else of an adapter.
+    """
+    meets = _ORDERS[1:] if free else _ORDERS
+    powers = np.eye(len(_ORDERS) + len(meets))
+    conditions = [(0.0, order) for order in _ORDERS] + [(1.0, order) for order in meets]
+    equations = np.array([_derivative(powers, x, order) for x, order in conditions])
+    coefficients = np.zeros((len(powers), VALUES))
+    known = [order + (MEETING if x else POSITION) for x, order in conditions]
+    coefficients[:, known] = np.linalg.solve(equations, np.diag([horizon_s**order for _, order in conditions]))
+    return tuple(polynomial.polyder(coefficients, order) if order else coefficients for order in _ORDERS)
+
+
+@lru_cache(maxsize=256)
 def continuation(period_s: float, periods: int, points: int) -> Array:
     """Return position, speed, acceleration and jerk, (4, 4), of the commands' continuation at a meeting.
 
@@ -113,10 +127,11 @@ def continuation(period_s: float, periods: int, points: int) -> Array:
     ahead = (periods - 1) * period_s
     rows = np.zeros((4, POINTS))
     rows[:, POINTS - points :] = [_derivative(fit, ahead, order) for order in _ORDERS]
+    rows.flags.writeable = False
     return rows
 
 
-def _derivative(coefficients: Array, x: float | Array, order: int) -> Array:
+def _derivative(coefficients: Array, x: float, order: int) -> Array:
     derived = polynomial.polyder(coefficients, order) if order else coefficients
     result: Array = np.asarray(polynomial.polyval(x, derived))
     return result

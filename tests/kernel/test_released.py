@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import mujoco
 import numpy as np
 from hypothesis import given, settings
@@ -14,6 +16,7 @@ from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.control.adapter import ServojAdapter
 from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance
 from dual_ur10.sim2real.control.gate import SWEEP_TOLERANCE_M, SafetyGate
+from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.control.servoj import ServojProfile
 from tests.sim2real.control.motion_checks import HARD, NARROW, TIGHT, TOOL, assert_within, braked
 from tests.soak import scaled
@@ -25,6 +28,14 @@ SCENE = SceneSettings(
     )
 )
 N = 4
+
+
+@functools.cache
+def made(family: str, ticks: int, limits: MotionLimits) -> tuple[ServojAdapter, SafetyGate]:
+    """Return an adapter and a gate, which each example resets: making them takes longer than an example."""
+    profile = ServojProfile(family)
+    adapter = ServojAdapter(profile, limits, ticks, n=N, dh=[NOMINAL_DH] * 2)
+    return adapter, SafetyGate(limits, profile.tick_s, ticks, Clearance(SCENE), n=N)
 
 
 def spoiled(targets: np.ndarray, last: np.ndarray, kind: str, size: float, rng: np.random.Generator) -> np.ndarray:
@@ -54,8 +65,7 @@ def spoiled(targets: np.ndarray, last: np.ndarray, kind: str, size: float, rng: 
 )
 def test_what_is_released_keeps_every_limit(kinds, family, ticks, limits, seed) -> None:
     profile, rng = ServojProfile(family), np.random.default_rng(seed)
-    adapter = ServojAdapter(profile, limits, ticks, n=N, dh=[NOMINAL_DH] * 2)
-    gate = SafetyGate(limits, profile.tick_s, ticks, Clearance(SCENE), n=N)
+    adapter, gate = made(family, ticks, limits)
     start = np.tile(HOME_Q_RAD, (N, 1, 1))
     adapter.reset(start)
     gate.reset(start)

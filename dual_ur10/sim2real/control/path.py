@@ -97,7 +97,7 @@ def path(period_s: float, times_s: Array, periods: int, free: bool = False) -> P
     return PathRows(position[:-1], speed[:-1], acceleration[:-1], end)
 
 
-@lru_cache(maxsize=128)
+@lru_cache(maxsize=1024)
 def _polynomials(horizon_s: float, free: bool) -> tuple[Array, ...]:
     """Return the coefficients of a path in fractions of its horizon, and of its derivatives; each (k, 8).
 
@@ -113,7 +113,7 @@ def _polynomials(horizon_s: float, free: bool) -> tuple[Array, ...]:
     return tuple(polynomial.polyder(coefficients, order) if order else coefficients for order in _ORDERS)
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=2048)
 def continuation(period_s: float, periods: int, points: int) -> Array:
     """Return position, speed, acceleration and jerk, (4, 4), of the commands' continuation at a meeting.
 

@@ -159,10 +159,10 @@ def test_a_refusal_of_the_gate_is_recorded(tmp_path):
 
 def test_an_interrupt_at_any_instant_leaves_a_whole_record(tmp_path):
     """Wherever Ctrl-C comes: between two calls of the system, in the middle of encoding, before the checksum."""
-    calls, wanted = [0], [0]
+    calls, wanted, interrupted = [0], [0], 0
 
     def profile(frame, event, argument):
-        if event in ("call", "c_call") and "dual_ur10/recording" in frame.f_code.co_filename:
+        if event in ("call", "c_call") and "dual_ur10/sim2real/recording" in frame.f_code.co_filename:
             calls[0] += 1
             if calls[0] == wanted[0]:
                 signal.raise_signal(signal.SIGINT)
@@ -181,6 +181,7 @@ def test_an_interrupt_at_any_instant_leaves_a_whole_record(tmp_path):
         finally:
             sys.setprofile(None)
         if heard:
+            interrupted += 1
             env.reset(seed=2)  # as in a notebook
             env.step(actions(env, 1)[0])
         env.close()
@@ -188,6 +189,7 @@ def test_an_interrupt_at_any_instant_leaves_a_whole_record(tmp_path):
         run = read_run(found)
         assert run.complete
         assert len(run.episodes[-1].reward) == (1 if heard else 3)
+    assert interrupted == scaled(2000)
 
 
 def test_events_are_in_the_record_and_in_the_log(tmp_path):

@@ -113,7 +113,10 @@ def test_every_function_of_arrays_declares_their_sizes() -> None:
 def test_no_array_of_a_structure_is_replaced() -> None:
     """The kernel would go on with the former one. Whoever replaces an array makes the structure anew."""
     for path in sorted([*(ROOT / "dual_ur10").rglob("*.py"), *(ROOT / "ur_emulator").rglob("*.py")]):
-        for owner in ast.walk(ast.parse(path.read_text())):
+        source = path.read_text()
+        if "Struct(" not in source:
+            continue
+        for owner in ast.walk(ast.parse(source)):
             if not isinstance(owner, ast.ClassDef):
                 continue
             functions = [each for each in owner.body if isinstance(each, ast.FunctionDef)]

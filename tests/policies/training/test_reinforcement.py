@@ -30,6 +30,12 @@ def expert(tmp_path_factory):
     return train(small("bc", rounds=1), tmp_path_factory.mktemp("expert") / "bc")
 
 
+@pytest.fixture(autouse=True)
+def _few_checks(monkeypatch):
+    """Most of the time of a SAC training goes into its checks, one after each few steps."""
+    monkeypatch.setattr(reinforce, "_CHECKS", 4)
+
+
 def sha_of(path):
     return checkpoint.read_manifest(path).weights_sha256
 
@@ -38,7 +44,7 @@ def sha_of(path):
     ("algorithm", "agents"),
     [("ppo", "joint"), ("ppo", "shared"), ("ppo", "independent"), ("sac", "joint"), ("sac", "independent")],
 )
-def test_the_same_seed_gives_the_same_bits(tmp_path, algorithm, agents):
+def test_the_same_seed_gives_the_same_bits(tmp_path, drawn, algorithm, agents):
     asked = small(algorithm, agents, steps=64)
     first, second = train(asked, tmp_path / "a", threads=2), train(asked, tmp_path / "b", threads=1)
     assert sha_of(first) == sha_of(second)
@@ -50,7 +56,8 @@ def test_the_same_seed_gives_the_same_bits(tmp_path, algorithm, agents):
     if agents == "joint":
         other = small(algorithm, agents, steps=64, seed=1)
         assert sha_of(train(other, tmp_path / "c")) != sha_of(first)
-    assert {"state", "training.json", "curve.png", "progress.csv"} <= {each.name for each in (tmp_path / "a").iterdir()}
+    assert {"state", "training.json", "progress.csv"} <= {each.name for each in (tmp_path / "a").iterdir()}
+    assert drawn[:2] == [tmp_path / "a" / "curve.png", tmp_path / "b" / "curve.png"]
 
 
 @pytest.mark.parametrize(
@@ -329,7 +336,6 @@ def test_the_best_checks_are_kept(tmp_path, monkeypatch):
         return check
 
     monkeypatch.setattr(folder, "check_of", ranked)
-    monkeypatch.setattr(reinforce, "_CHECKS", 4)
     path = train(small("ppo", steps=128), tmp_path / "out")
     kept = sorted(each.name for each in (tmp_path / "out").glob("steps-*"))
     assert kept == ["steps-000000032", "steps-000000064"]

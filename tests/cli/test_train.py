@@ -13,7 +13,8 @@ from typer.testing import CliRunner
 
 from dual_ur10.cli.main import app
 
-SMALL = ("--envs", "2", "--set", "duration_s=2.0", "--setting", "hidden=[8]", "--setting", "fit_steps=5")
+SMALL = ("--envs", "2", "--set", "duration_s=0.4", "--setting", "hidden=[8]", "--setting", "fit_steps=5")
+ROUND = 20  # steps of two episodes
 
 
 def run(*arguments):
@@ -67,19 +68,19 @@ def test_a_bad_setting_is_refused_before_a_folder_is_made(arguments, message, tm
 def test_a_training_prints_its_result_and_the_policy_runs(tmp_path):
     pytest.importorskip("stable_baselines3")
     out = tmp_path / "out"
-    result = run("train", "SineTracking", *SMALL, "--steps", 100, "--out", out)
+    result = run("train", "SineTracking", *SMALL, "--steps", ROUND, "--out", out)
     assert result.exit_code == 0, result.output
     assert f"policy  {out / 'policy'}" in result.stdout
     assert "95 % interval" in result.stdout
     shown = run(
-        "rollout", "SineTracking", "--policy", out / "policy", "-n", 1, "--no-record", "--set", "duration_s=2.0",
+        "rollout", "SineTracking", "--policy", out / "policy", "-n", 1, "--no-record", "--set", "duration_s=0.4",
     )  # fmt: skip
     assert shown.exit_code == 0, shown.output
     latency = ("--set", "action_latency_ticks=4")
     other = run("rollout", "SineTracking", "--policy", out / "policy", "-n", 1, "--no-record", *latency)
     assert other.exit_code == 2
     assert "latency_ticks" in other.stderr
-    again = run("train", "SineTracking", *SMALL, "--steps", 100, "--out", out)
+    again = run("train", "SineTracking", *SMALL, "--steps", ROUND, "--out", out)
     assert again.exit_code == 2
     assert "not empty" in again.stderr
 
@@ -127,7 +128,7 @@ def test_ctrl_c_saves_and_prints_the_command_to_resume(tmp_path):
     assert f"dual-ur10 train --resume {out}" in text
     assert "Traceback" not in text
     rounds = len(list(out.glob("samples-*.safetensors")))
-    result = run("train", "--resume", out, "--steps", 100 * (rounds + 1))
+    result = run("train", "--resume", out, "--steps", ROUND * (rounds + 1))
     assert result.exit_code == 0, result.output
     assert (out / "policy" / "manifest.json").exists()
     assert len(list(out.glob("samples-*.safetensors"))) == rounds + 1

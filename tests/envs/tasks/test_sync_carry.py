@@ -118,7 +118,7 @@ def test_scripted_figures(keywords, slip_mm, relative_mm, degrees, squeeze_n):
 
 
 def test_success_over_random_plants():
-    episodes, width = (300, 15) if SOAK else (2, 2)
+    episodes, width = (300, 15) if SOAK else (1, 1)
     successes = 0
     for first in range(0, episodes, width):
         env = gym.make_vec(CARRY, num_envs=width, randomization="mild", autoreset_mode="Disabled")

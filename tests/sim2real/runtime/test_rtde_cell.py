@@ -305,7 +305,7 @@ def test_an_approach_continues_after_stalls_of_the_program(bench, monkeypatch, s
     env.reset(seed=0)
     action = still(env).reshape(2, -1)
     action[:, 5] = 0.5
-    step(env, action.reshape(-1), 40)
+    step(env, action.reshape(-1), 20)
     asked.clear()
     runner, left = bench.runner, [stalls]
     wait_for = runner.wait_for

@@ -35,7 +35,7 @@ def test_48_49_50_both_arms_slow_down_together_and_are_fast_again_on_the_way_bac
     q_rad, time_s = lab.measured()
     clearance = lab.env.unwrapped.core.cell._clearance
     pair = [" and ".join(each) for each in clearance.pairs].index(info["safety"].subject)
-    distance = np.array([clearance.measure(q.reshape(1, 12)).distances_m[0, pair] for q in q_rad])
+    distance = clearance.measure(q_rad.reshape(-1, 12)).distances_m[:, pair]
     # The first state may be there more than once.
     speed = -np.diff(distance) / np.maximum(np.diff(time_s), lab.tick_s)
     near = distance[1:] < NEAR_M

@@ -21,7 +21,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # `make fuzz`: executions per target, or seconds (TIME_S=60); some targets only (TARGET=rtde_server); another seed.
 RUNS ?= $(if $(TIME_S),0,20000)
 
-.PHONY: help demo dist docs test test-live test-oldest test-dist test-torchrl clients soak simulate mutants fuzz bench install lint format clean check-python check-python-of-tests
+.PHONY: help demo dist docs test test-virtual test-live test-oldest test-dist test-torchrl clients soak simulate mutants fuzz bench install lint format clean check-python check-python-of-tests
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*  ## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
@@ -97,10 +97,13 @@ demo: $(VENV)/.demo $(KERNEL)  ## install, run the scripted policies, also on em
 	@$(VENV)/bin/python -m dual_ur10 demo --out out
 
 test: $(VENV)/.dev $(KERNEL)  ## install, lint, type-check, run all tests but those in real time, and a smoke test of these
-	@echo "Lint, types and documentation ..."
-	@$(MAKE) --no-print-directory -j 2 lint docs
-	@$(VENV)/bin/python -m pytest -n 2 --dist worksteal -m "not emulated"
+	@echo "Lint, types and documentation, and beside them the tests ..."
+	@$(MAKE) --no-print-directory -j 3 lint docs test-virtual
 	@$(VENV)/bin/python -m pytest tests/live/test_smoke.py
+
+# What make prints last names what has failed.
+test-virtual: $(VENV)/.dev $(KERNEL)
+	@$(VENV)/bin/python -m pytest -n 2 --dist worksteal -m "not emulated"
 
 # Streaming to arms asks for more than half of two cores, in real time: these tests run one at a time, with nothing
 # beside them. Controllers that wait more than they work come in pairs.

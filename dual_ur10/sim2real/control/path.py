@@ -103,14 +103,26 @@ def _polynomials(horizon_s: float, free: bool) -> tuple[Array, ...]:
 
     Every environment needs those of the same few horizons: they take longer than all else of an adapter.
     """
-    meets = _ORDERS[1:] if free else _ORDERS
-    powers = np.eye(len(_ORDERS) + len(meets))
-    conditions = [(0.0, order) for order in _ORDERS] + [(1.0, order) for order in meets]
-    equations = np.array([_derivative(powers, x, order) for x, order in conditions])
-    coefficients = np.zeros((len(powers), VALUES))
+    conditions = _conditions(free)
+    coefficients: Array = np.zeros((len(conditions), VALUES))
     known = [order + (MEETING if x else POSITION) for x, order in conditions]
-    coefficients[:, known] = np.linalg.solve(equations, np.diag([horizon_s**order for _, order in conditions]))
-    return tuple(polynomial.polyder(coefficients, order) if order else coefficients for order in _ORDERS)
+    scales = np.diag([horizon_s**order for _, order in conditions])
+    coefficients[:, known] = np.linalg.solve(_equations(free), scales)
+    derivatives = [np.asarray(polynomial.polyder(coefficients, order), dtype=np.float64) for order in _ORDERS[1:]]
+    return coefficients, *derivatives
+
+
+def _conditions(free: bool) -> list[tuple[float, int]]:
+    """Return what is known of a path: the derivatives, by their orders, at its begin, 0, and at its meeting, 1."""
+    return [(0.0, order) for order in _ORDERS] + [(1.0, order) for order in (_ORDERS[1:] if free else _ORDERS)]
+
+
+@lru_cache(maxsize=2)
+def _equations(free: bool) -> Array:
+    """Return the known values as a matrix on the coefficients."""
+    conditions = _conditions(free)
+    powers = np.eye(len(conditions))
+    return np.array([_derivative(powers, x, order) for x, order in conditions])
 
 
 @lru_cache(maxsize=2048)

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.ur10 import ARMS, DHParameters
 from dual_ur10.sim2real.protocol.modes import RobotMode
-from tests.soak import scaled
+from tests.soak import SOAK, scaled
 from tests.ur_emulator import rtde_bytes
 from tests.ur_emulator.ticking import Cell, program
 from ur_emulator.link_faults import LinkFaults
@@ -675,7 +675,7 @@ def fuzzed():
     made.close()
 
 
-@settings(max_examples=scaled(1500))
+@settings(max_examples=1500 if SOAK else 30)
 @given(st.lists(requests(), min_size=1, max_size=8))
 def test_bad_requests_disturb_nothing(fuzzed, asked):
     cell = fuzzed

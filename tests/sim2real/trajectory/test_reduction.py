@@ -18,7 +18,7 @@ from dual_ur10.sim2real.trajectory.interpolation import Interpolation
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
 from dual_ur10.sim2real.trajectory.reduction import reduce_points
 from tests.sim2real.trajectory.following import wave
-from tests.soak import scaled
+from tests.soak import SOAK, scaled
 
 KINDS = pytest.mark.parametrize("kind", ["cubic", "linear"])
 
@@ -48,7 +48,7 @@ def random_paths(draw):
 
 
 @given(random_paths(), st.sampled_from(["cubic", "linear"]), st.integers(2, 12))
-@settings(deadline=None, max_examples=scaled(10_000))
+@settings(deadline=None, max_examples=10_000 if SOAK else 200)
 def test_the_bound_holds_at_all_times(trajectory, kind, points):
     reduced, deviation_rad = reduce_points(trajectory, points, None, kind)
     assert len(reduced) <= points

@@ -169,3 +169,15 @@ def test_it_loads_no_environment():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120)
     assert done.stdout.split() == []
+
+
+def test_what_is_drawn_stands_where_the_arm_stands():
+    arm = arm_of()
+    plan = standing(arm)[0]
+    plan[:, 0] += 0.1
+    advance(arm, plan)
+    model, data = arm.draw()
+    assert np.array_equal(data.qpos, arm.read(0).q_rad)
+    assert model.ngeom > 40
+    assert np.array_equal(data.body("left/base_link").xpos, np.zeros(3))
+    assert arm.draw()[0] is model

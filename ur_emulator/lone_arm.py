@@ -151,14 +151,15 @@ class LoneArm:
 
     def _step(self, control: Array) -> None:
         model, data = self._model, self._data
-        if not self.failed and np.isfinite(control).all():
+        if not self.failed:
             for row in control:
                 data.ctrl[:] = row
                 mujoco.mj_step(model, data)
-        if self.failed or not np.isfinite(control).all() or any(each.number for each in data.warning):
-            self.failed = True
+            self.failed = bool(data.warning.number.any())
+        if self.failed:
             mujoco.mj_setState(model, data, self._good, _STATE)
-        mujoco.mj_getState(model, data, self._good, _STATE)
+        else:
+            mujoco.mj_getState(model, data, self._good, _STATE)
 
     def pose(self, body: str) -> tuple[Array, Array]:
         """See `SimulatedWorld`. Bodies are those of the arm, such as `wrist_3_link`."""

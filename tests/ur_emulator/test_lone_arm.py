@@ -94,10 +94,12 @@ def test_torques_move_the_joint_against_what_is_left_of_its_friction(scale):
     assert (arm.read(0).qd_rad_s[5] > 0.01) == (scale > 0.5)
 
 
-def test_a_diverging_simulation_is_reported():
+@pytest.mark.parametrize("value", [np.nan, 1e300])
+def test_a_diverging_simulation_is_reported(value, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # MuJoCo logs it there
     arm = arm_of()
     plan = standing(arm)[0]
-    plan[0, 0] = np.nan
+    plan[0, 0] = value
     advance(arm, plan)
     assert arm.failed
     advance(arm, standing(arm)[0])

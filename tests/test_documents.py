@@ -17,6 +17,7 @@ import pytest
 import typer
 import yaml
 
+import ur_emulator.cli
 from dual_ur10.cli.main import app
 from dual_ur10.ids import ENV_IDS
 from dual_ur10.policies.training import settings
@@ -244,6 +245,8 @@ def test_commands_parse(path, workplace, monkeypatch):
         words = shlex.split(line.removeprefix("        run: ").removeprefix("  run: ").strip(), comments=True)
         if words[:1] == ["make"]:
             assert words[1] in targets, line
+        if words[:1] == ["ur-emulator"]:
+            typer.main.get_command(ur_emulator.cli.app).make_context("ur-emulator", words[1:])
         if words[:3] == ["python", "-m", "dual_ur10"] or words[:1] == ["dual-ur10"]:
             arguments, here = words[3 if words[0] == "python" else 1 :], command
             context = None

@@ -30,8 +30,8 @@ from follower_paths import ArmsPath, Mounts, carried, flanges_in_cell, lowered, 
 from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
-from dual_ur10.assets.gripper import TCP_M
 from dual_ur10.assets.props import BAR_MASS_KG
+from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 from dual_ur10.kinematics.forward import flange_pose
 from dual_ur10.kinematics.poses import Poses
 from dual_ur10.kinematics.ur10 import ARMS, NOMINAL_DH
@@ -79,7 +79,7 @@ class Rig(NamedTuple):
             self.system.clock.sleep(GRIP_S)
         for name, arm in zip(ARMS, self.file.arms, strict=True):
             kg = self.cell.ask("state", arm=name, names=["payload"])["payload"] + BAR_MASS_KG / 2
-            text = f"sec load():\n  set_payload({kg}, [0.0, 0.0, {TCP_M}])\nend\n"
+            text = f"sec load():\n  set_payload({kg}, [0.0, 0.0, {TOOL.tcp_m}])\nend\n"
             deadline_s = self.system.clock.now_s() + GRIP_S
             with LinkSocket(name, "script", arm.host, SCRIPT_PORT, deadline_s, system=self.system) as script:
                 script.send(text.encode("ascii"), deadline_s)

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from dual_ur10.assets.gripper import OPENING_M
 from dual_ur10.assets.settings import home_q_rad
+from dual_ur10.assets.tool import Tool, strokes_m
 from dual_ur10.assets.torque_control import Torques
 from dual_ur10.envs.core.randomization import PRESETS, apply_sample
 from dual_ur10.envs.core.setup import EnvSetup
@@ -72,7 +72,10 @@ class CellWorld:
         model = self._physics.model
         grippers = config.equipment.grippers
         names = ("gripper", "finger_1", "finger_2")
-        self.gripper_kg = sum(float(model.body(f"left/{name}").mass[0]) for name in names) if grippers else 0.0
+        self.gripper_kg: Sequence[float] = [
+            sum(float(model.body(f"{arm}/{name}").mass[0]) for name in names) if grippers else 0.0 for arm in ARMS
+        ]
+        self.tools: Sequence[Tool | None] = config.equipment.tools if grippers else (None, None)
         joints = 8 if grippers else 6
         self._dofs = [arm * joints + np.arange(6) for arm in range(2)]
         self._elapsed = np.zeros(1)
@@ -114,9 +117,10 @@ class CellWorld:
             for k, rows in enumerate((motion.q_rad, motion.qd_rad_s, motion.qdd_rad_s2)):
                 rows[0, :, joints] = delayed[:, k]
         grippers = payload = None
-        if self.gripper_kg:
+        if self.config.equipment.grippers:
             # The measured width of open fingers may be slightly above the maximum.
-            grippers = np.array([[[min(max(each or 0.0, 0.0), OPENING_M) for each in widths_m]]])
+            most = strokes_m(self.config.equipment.tools)
+            grippers = np.array([[[min(max(each or 0.0, 0.0), m) for each, m in zip(widths_m, most, strict=True)]]])
             # The arm model includes the gripper's mass.
             payload = np.array([payloads_kg]) - self.gripper_kg
         wanted = [None if each is None else Torques(each.torque_nm, 1.0 - each.coulomb_scale) for each in torques]

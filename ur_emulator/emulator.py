@@ -168,12 +168,13 @@ class Emulator:
                     dh=mount.dh,
                     builtins=builtins_of,
                     lookahead_scale=float(self.world.lookahead_scale[arm]),
-                    gripper_kg=self.world.gripper_kg,
+                    gripper_kg=self.world.gripper_kg[arm],
                     powered=options.powered,
                     boot_s=BOOT_S[arm],
                     system=system,
                 )
-                gripper = RobotiqGripper() if self.world.gripper_kg else None
+                tool = self.world.tools[arm]
+                gripper = None if tool is None else RobotiqGripper(tool)
                 self.servers.append(ArmServer(self._hub, controller, hosts[arm], gripper, self._off, programs))
             self._port = self._hub.add("fault injection", (hosts[0], 0), lambda: LinePeer(self._injection.answer))
             if options.view:

@@ -11,6 +11,7 @@ import numpy as np
 
 from dual_ur10.assets.scene import compose
 from dual_ur10.assets.settings import SceneSettings, default_mount, gains_of, home_q_rad
+from dual_ur10.assets.tool import Tool
 from dual_ur10.assets.torque_control import TorqueControl, Torques
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.kinematics.frames import ArmMount
@@ -78,7 +79,8 @@ class LoneArm:
         UnknownNameError: There is no such model.
     """
 
-    gripper_kg = 0.0
+    gripper_kg: Sequence[float] = (0.0,)
+    tools: Sequence[Tool | None] = (None,)
     has_object = False
 
     def __init__(self, robot: str, options: PlantOptions) -> None:

@@ -12,10 +12,8 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from dual_ur10.assets.gripper import FORCE_N, KP_N_M, OPENING_M, SPEED_M_S
-
-LOWEST_SPEED_M_S: Final = 0.02
-"""Speed at SPE 0 (data sheet of the 2F-85: 20 to 150 mm/s)."""
+from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85
+from dual_ur10.assets.tool import Tool
 
 ACTIVATION_S: Final = 1.0
 """Shortest activation. Assumption: the real gripper opens and closes fully, this one only opens."""
@@ -50,9 +48,8 @@ class RobotiqGripper:
     """One gripper.
 
     Args:
-        stroke_m: Width at POS 0. At POS 255 it is closed.
-        stiffness_n_m: Stiffness of the position servo behind `tick`: force per difference between commanded and
-            measured width. It converts FOR to a grip force.
+        tool: Its figures: the width at POS 0, 0 at POS 255; speeds of SPE, forces of FOR; and the stiffness of the
+            position servo behind `tick`, which converts a grip force to a difference of commanded and measured width.
         latency_s: Latency of that servo.
 
     Attributes:
@@ -60,10 +57,9 @@ class RobotiqGripper:
             afterwards.
     """
 
-    def __init__(
-        self, stroke_m: float = OPENING_M, *, stiffness_n_m: float = KP_N_M, latency_s: float = LATENCY_S
-    ) -> None:
-        self.stroke_m, self.stiffness_n_m, self.latency_s = stroke_m, stiffness_n_m, latency_s
+    def __init__(self, tool: Tool = ROBOTIQ_2F85, *, latency_s: float = LATENCY_S) -> None:
+        self.tool, self.latency_s = tool, latency_s
+        self.stroke_m, self.stiffness_n_m = tool.stroke_m, tool.servo_kp
         self.powered = True
         self._set = {"ACT": 0, "GTO": 0, "ATR": 0, "ARD": 0, "POS": 0, "SPE": 255, "FOR": 255, "SID": 9}
         self._activating_s: float | None = None  # duration of the present activation
@@ -71,7 +67,7 @@ class RobotiqGripper:
         self._object = MOVING
         self._fault = NO_FAULT
         self._measured_m: float | None = None
-        self._reference_m = stroke_m
+        self._reference_m = tool.stroke_m
         self._standing_s = 0.0
         self._left_m = math.inf  # distance left at the last progress
         self._stopped_at_m: float | None = None  # width at which an object stopped the fingers
@@ -79,12 +75,14 @@ class RobotiqGripper:
     @property
     def force_n(self) -> float:
         """Grip force requested by FOR."""
-        return FORCE_N[0] + (FORCE_N[1] - FORCE_N[0]) * self._set["FOR"] / 255
+        least, most = self.tool.force_n
+        return least + (most - least) * self._set["FOR"] / 255
 
     @property
     def speed_m_s(self) -> float:
         """Speed of the width requested by SPE."""
-        return LOWEST_SPEED_M_S + (SPEED_M_S - LOWEST_SPEED_M_S) * self._set["SPE"] / 255
+        least, most = self.tool.speed_m_s
+        return least + (most - least) * self._set["SPE"] / 255
 
     @property
     def requested_m(self) -> float:
@@ -141,9 +139,9 @@ class RobotiqGripper:
     def _goal(self) -> tuple[float | None, float]:
         """Return the target width, if any, and the speed."""
         if self._fault in (RELEASING, RELEASED):
-            return (self.stroke_m if self._set["ARD"] else 0.0), LOWEST_SPEED_M_S
+            return (self.stroke_m if self._set["ARD"] else 0.0), self.tool.speed_m_s[0]
         if self._activating_s is not None:
-            return self.stroke_m, SPEED_M_S
+            return self.stroke_m, self.tool.speed_m_s[1]
         if self._active and self._set["GTO"]:
             return self.requested_m, self.speed_m_s
         return None, 0.0

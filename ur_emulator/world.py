@@ -8,6 +8,7 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
+from dual_ur10.assets.tool import Tool
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.types import Array, constant
@@ -65,7 +66,8 @@ class SimulatedWorld(Protocol):
         substeps: Physics steps per control period.
         start_q_rad: (arms, 6) initial joint positions.
         lookahead_scale: (arms,) ratio of each controller's true lookahead to the commanded one.
-        gripper_kg: Mass of one gripper; 0 without grippers.
+        gripper_kg: Mass of each arm's gripper; 0 without one.
+        tools: Gripper of each arm; None: the flange is bare.
         sampled: Sampled parameters of the plant, by name.
     """
 
@@ -75,7 +77,8 @@ class SimulatedWorld(Protocol):
     substeps: int
     start_q_rad: Array
     lookahead_scale: Array
-    gripper_kg: float
+    gripper_kg: Sequence[float]
+    tools: Sequence[Tool | None]
     sampled: Mapping[str, Array]
 
     @property

@@ -21,7 +21,7 @@ import numpy as np
 
 from dual_ur10.assets.arm import arm_spec, remove_visuals
 from dual_ur10.assets.cell_spec import add_obstacles, attach_arm, cell_spec, compiled, joint_names
-from dual_ur10.assets.gripper import TCP_M, add_gripper
+from dual_ur10.assets.gripper import add_rigid_gripper
 from dual_ur10.assets.obstacles import geom_name
 from dual_ur10.assets.prop import Capsule
 from dual_ur10.assets.settings import Equipment, SceneSettings
@@ -163,14 +163,14 @@ def compose_collision_model(settings: SceneSettings) -> Any:
 
     spec = cell_spec(settings)
     spec.compiler.fusestatic = True
-    for name, mount in zip(ARMS, settings.mounts, strict=True):
+    for name, mount, tool in zip(ARMS, settings.mounts, settings.equipment.tools, strict=True):
         arm = arm_spec(mount.dh, settings.gains)
         remove_visuals(arm)
         if settings.equipment.grippers:
-            add_gripper(arm, settings, rigid=True)
+            add_rigid_gripper(arm, tool)
         _add_balls(arm)
         for geom, capsule in payload(settings, ARMS.index(name)).items():
-            add_payload_geometry(arm.body("gripper"), geom, capsule)
+            add_payload_geometry(arm.body("gripper"), geom, capsule, tool.tcp_m)
         for unused in (*arm.actuators, *arm.excludes):
             arm.delete(unused)
         attach_arm(spec, arm, name, mount)
@@ -237,17 +237,18 @@ def add_hulls(spec: Any) -> None:
         spec.worldbody.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, pos=box.pos, quat=box.quat)
 
 
-def add_payload_geometry(gripper: Any, name: str, capsule: Capsule) -> None:
+def add_payload_geometry(gripper: Any, name: str, capsule: Capsule, tcp_m: float) -> None:
     """Add payload geometry to a gripper's body, without a mass: that of the body is explicit.
 
     Args:
         gripper: Body of a gripper in an arm's spec.
         name: Name of the geom.
         capsule: Its shape, in the frame of the tool centre point.
+        tcp_m: Distance of the tool centre point from the flange.
     """
     import mujoco
 
-    fromto = [x + shift for end in (capsule.from_m, capsule.to_m) for x, shift in zip(end, (0, 0, TCP_M), strict=True)]
+    fromto = [x + shift for end in (capsule.from_m, capsule.to_m) for x, shift in zip(end, (0, 0, tcp_m), strict=True)]
     gripper.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=fromto, size=(capsule.radius_m, 0, 0))
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from dual_ur10.assets.arm import arm_spec, remove_visuals
 from dual_ur10.assets.cell_spec import actuator_names, add_obstacles, attach_arm, cell_spec, compiled, joint_names
-from dual_ur10.assets.gripper import add_gripper
+from dual_ur10.assets.gripper import add_gripper, attach_own
 from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.assets.visuals import add_surroundings, draw_gripper, use_meshes
 from dual_ur10.errors import DualUR10Error, SettingsError
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def compose(settings: SceneSettings, *, visuals: bool = True) -> Any:
-    """Return a fresh `MjSpec` of the whole cell: `to_xml()` writes it as MJCF.
+    """Return a fresh `MjSpec` of the whole cell. `to_xml()` writes it, unless a tool has an MJCF of its own.
 
     Joints, actuators and degrees of freedom: the left arm's six, then the right arm's six. With grippers, each arm's
     are followed by its gripper's (two finger joints, one actuator: the opening in m). Props' joints are the last.
@@ -47,20 +47,23 @@ def compose(settings: SceneSettings, *, visuals: bool = True) -> Any:
     spec = cell_spec(settings)
     if visuals:
         add_surroundings(spec, settings)
-    for name, mount in zip(ARMS, settings.mounts, strict=True):
+    equipment = settings.equipment
+    for name, mount, tool in zip(ARMS, settings.mounts, equipment.tools, strict=True):
         arm = arm_spec(mount.dh, settings.gains)
         if not visuals:
             remove_visuals(arm)
-        if settings.equipment.grippers:
-            add_gripper(arm, settings)
+        if equipment.grippers and not tool.mjcf:
+            add_gripper(arm, tool, settings.timestep_s, equipment.grip_force_n)
             if visuals:
-                draw_gripper(arm)
+                draw_gripper(arm, tool)
         attach_arm(spec, arm, name, mount)
-    for prop in settings.equipment.props:
+        if equipment.grippers and tool.mjcf:
+            attach_own(spec, name, tool, equipment.grip_force_n)
+    for prop in equipment.props:
         prop.add_to(spec, settings.timestep_s, visuals=visuals)
     add_obstacles(spec, settings.obstacles)
     _add_flange_sensors(spec)
-    if settings.equipment.grippers:
+    if equipment.grippers:
         _add_wrench_sensors(spec)
     _add_welds(spec, settings)
     if settings.meshes and visuals:

@@ -12,6 +12,8 @@ import numpy as np
 
 from dual_ur10.assets.obstacles import Obstacle, checked
 from dual_ur10.assets.prop import Camera, Prop, check_props
+from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85
+from dual_ur10.assets.tool import Tool, tools_of
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.kinematics.dynamics import stretched_inertia_kg_m2
 from dual_ur10.kinematics.frames import MAX_MOUNT_M, ArmMount, finite_floats
@@ -63,8 +65,8 @@ BASE_RADIUS_M: Final = 0.15
 
 MIN_BASE_DISTANCE_M: Final = 0.3
 
-GRIP_FORCE_N: Final = (20.0, 235.0)
-"""Least and largest grip force that can be set on a Robotiq 2F-85, by its data sheet."""
+DEFAULT_TOOLS: Final = (ROBOTIQ_2F85, ROBOTIQ_2F85)
+"""Tools of both arms where neither task nor cell names others."""
 
 # Elbow up, tool z straight down, flange x towards the base: the rotation vector (pi, 0, 0) in UR's base frame.
 _HOME: Final = (-0.22036724, -1.4126697, 1.84438035, -2.00250698, -math.pi / 2, 1.35042908)
@@ -127,17 +129,20 @@ class Equipment:
         welds: Pairs of sites, of a gripper ("left/tcp") and of a prop ("bar/left_grip"), that are welded to each other,
             instead of held by friction.
         grip_force_n: Force with which each finger presses.
+        tools: Tools of the left and the right arm, as `Tool` or by name.
         cameras: Further cameras.
 
     Raises:
-        SettingsError: `grippers` is not True or False, props, welds or cameras are none or clash, or `grip_force_n` is
-            not within `GRIP_FORCE_N`.
+        UnknownNameError: There is no tool of a name.
+        SettingsError: `grippers` is not True or False, props, welds or cameras are none or clash, or a tool has no such
+            force.
     """
 
     grippers: bool = False
     props: tuple[Prop, ...] = ()
     welds: tuple[tuple[str, str], ...] = ()
     grip_force_n: float = 60.0
+    tools: tuple[Tool, Tool] = DEFAULT_TOOLS
     cameras: tuple[Camera, ...] = ()
 
     def __post_init__(self) -> None:
@@ -158,10 +163,13 @@ class Equipment:
             raise SettingsError(f"cameras is {self.cameras!r:.120}: each must be a Camera with a name of its own")
         object.__setattr__(self, "cameras", tuple(self.cameras))
         (force,) = finite_floats("grip_force_n", (self.grip_force_n,), 1)
-        if not GRIP_FORCE_N[0] <= force <= GRIP_FORCE_N[1]:
-            raise SettingsError(
-                f"grip_force_n is {force:.6g}: must be within {GRIP_FORCE_N[0]:.0f} to {GRIP_FORCE_N[1]:.0f} N"
-            )
+        object.__setattr__(self, "tools", tools_of(self.tools))
+        for tool in self.tools if self.grippers else DEFAULT_TOOLS:
+            if not tool.force_n[0] <= force <= tool.force_n[1]:
+                raise SettingsError(
+                    f"grip_force_n is {force:.6g}: must be within {tool.force_n[0]:.0f} to {tool.force_n[1]:.0f} N, as "
+                    f"the tool {tool.name!r} has them"
+                )
         object.__setattr__(self, "grip_force_n", force)
 
     @property

@@ -5,6 +5,7 @@ Nothing here has mass or contacts: a model composed with `visuals=False` leaves 
 
 from __future__ import annotations
 
+import importlib
 import importlib.metadata
 import math
 from pathlib import Path
@@ -12,10 +13,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from dual_ur10.assets.gripper import FINGERTIP_M, PAD_LENGTH_M, PAD_THICK_M, PAD_WIDTH_M, PALM_LENGTH_M, TCP_M
+from dual_ur10.assets.pen import Pen
 from dual_ur10.assets.prop import Camera
 from dual_ur10.assets.settings import TABLE_THICKNESS_M, SceneSettings
-from dual_ur10.errors import MissingExtraError
+from dual_ur10.assets.tool import Tool
+from dual_ur10.errors import MissingExtraError, SettingsError
 from dual_ur10.kinematics.frames import FLOOR_Z_M
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.types import Vector3
@@ -134,121 +136,42 @@ def _add_furniture(spec: Any, settings: SceneSettings) -> None:
             )
 
 
-_GRIPPER_MATERIALS: Final = {
-    "shell": ((0.21, 0.22, 0.24, 1), 0.5, 0.5),
-    "link": ((0.46, 0.48, 0.51, 1), 0.6, 0.6),
-    "tip": ((0.32, 0.33, 0.36, 1), 0.4, 0.5),
-    "steel": ((0.70, 0.72, 0.75, 1), 0.8, 0.8),
-    "light": ((0.25, 0.65, 0.95, 1), 0.2, 0.2),
-    "groove": ((0.20, 0.20, 0.22, 1), 0.1, 0.1),
-    "glass": ((0.05, 0.07, 0.14, 1), 0.9, 0.9),
-}  # colour, specular, shininess
+def draw_gripper(arm: Any, tool: Tool) -> None:
+    """Add the visuals of the gripper of one arm's spec, and a camera `wrist`.
 
-_LENS: Final = (-0.0445, 0.0, 0.078)
-_LENS_AIM: Final = (0.0, 0.0, 0.20)
+    A tool's own function gets the same arguments. It may add materials, and geoms of the class "visual" to the bodies
+    `gripper`, `finger_1` and `finger_2`; it has to add the camera to the first.
 
-
-def draw_gripper(arm: Any) -> None:
-    """Add the visuals of the gripper of one arm's spec, and a camera `wrist` to it."""
-    palm = arm.body("gripper")
-    for name, (rgba, specular, shininess) in _GRIPPER_MATERIALS.items():
-        arm.add_material(
-            name=name, rgba=rgba, specular=specular, shininess=shininess, emission=0.5 if name == "light" else 0.0
-        )
-    style = arm.find_default("visual")
-    _draw_palm(_Pen(palm, style))
-    _draw_camera(palm, _Pen(palm, style))
-    for i, sign in ((1, 1), (2, -1)):
-        _draw_finger(_Pen(arm.body(f"finger_{i}"), style, sign))
+    Raises:
+        SettingsError: The tool's own function cannot be imported.
+    """
+    if not tool.visuals:
+        _draw_plainly(arm, tool)
+        return
+    module, _, name = tool.visuals.partition(":")
+    try:
+        draw = getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise SettingsError(f"visuals of the tool {tool.name!r} are {tool.visuals!r}: {error}") from error
+    draw(arm, tool)
 
 
-class _Pen:
-    """Adds visual parts to one body, y mirrored where `sign` is -1."""
-
-    def __init__(self, body: Any, style: Any, sign: int = 1) -> None:
-        self._body, self._style, self._sign = body, style, sign
-
-    def box(self, low: tuple[float, ...], high: tuple[float, ...], material: str) -> None:
-        """Box between two corners."""
-        middle, half = np.add(low, high) / 2, np.subtract(high, low) / 2
-        self._add("box", pos=middle * (1, self._sign, 1), size=half, material=material)
-
-    def rod(self, a: tuple[float, ...], b: tuple[float, ...], radius: float, material: str, kind: str) -> None:
-        """Cylinder or capsule between two points."""
-        ends = np.array([a, b]) * (1, self._sign, 1)
-        self._add(kind, fromto=ends.ravel(), size=(radius, 0, 0), material=material)
-
-    def disc(self, y: float, low: float, high: float, radius: float, material: str, x: float = 0.0) -> None:
-        """Cylinder along z."""
-        self.rod((x, y, low), (x, y, high), radius, material, "cylinder")
-
-    def oval(self, low: float, high: float, half_y: float, radius: float, material: str) -> None:
-        """Plate with round ends at y = ±half_y."""
-        self.box((-radius, -half_y, low), (radius, half_y, high), material)
-        for y in (-half_y, half_y):
-            self.disc(y, low, high, radius, material)
-
-    def _add(self, kind: str, **attributes: Any) -> None:
-        import mujoco
-
-        self._body.add_geom(self._style, type=getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}"), **attributes)
-
-
-def _draw_palm(pen: _Pen) -> None:
-    pen.disc(0, 0.0, 0.0125, 0.0375, "steel")  # coupling
-    pen.disc(0, 0.0125, 0.014, 0.0350, "rubber")
-    pen.disc(0, 0.014, 0.044, 0.0365, "shell")
-    pen.disc(0, 0.026, 0.029, 0.0369, "light")
-    for step in range(1, 9):  # from round to wide
-        z = 0.038 + 0.001 * step
-        pen.oval(z, z + 0.001, 0.034 * step / 9, 0.0365 - 0.0075 * step / 9, "shell")
-    pen.oval(0.047, 0.079, 0.034, 0.0290, "shell")
-    pen.oval(0.0535, 0.0545, 0.034, 0.0293, "groove")
-    pen.oval(0.079, 0.0815, 0.034, 0.0275, "groove")
-    pen.oval(0.0815, 0.0845, 0.034, 0.0285, "housing")
-    pen.box((-0.0155, -0.0590, 0.0845), (0.0155, 0.0590, 0.0848), "rubber")
-    for x in (-0.0095, 0.0095):
-        pen.rod((x, -0.0585, 0.0862), (x, 0.0585, 0.0862), 0.0028, "steel", "cylinder")  # rails
-        for y in (-0.0605, 0.0605):
-            pen.box((x - 0.004, y - 0.0022, 0.0845), (x + 0.004, y + 0.0022, 0.0895), "housing")
-    pen.box((0.0280, -0.020, 0.060), (0.0294, 0.020, 0.074), "housing")  # name plate
-
-
-def _draw_camera(palm: Any, pen: _Pen) -> None:
-    x, _, z = _LENS
-    pen.box((x - 0.0075, -0.017, z - 0.020), (x + 0.0075, 0.017, z - 0.001), "shell")
-    pen.box((x + 0.0075, -0.012, z - 0.016), (-0.028, 0.012, z - 0.005), "housing")
-    pen.disc(0, z - 0.001, z + 0.001, 0.0058, "steel", x)
-    pen.disc(0, z + 0.001, z + 0.0013, 0.0045, "glass", x)
-    forward = np.subtract(_LENS_AIM, _LENS)
-    forward /= np.linalg.norm(forward)
-    # Up in the image is the flange's -x: away from the base where the arm is at home.
-    palm.add_camera(
+def _draw_plainly(arm: Any, tool: Tool) -> None:
+    """Draw the parts of the figures: coupling, palm, fingers and pads."""
+    palm, radius, tip = Pen(arm, "gripper"), tool.palm_radius_m, tool.fingertip_m
+    (x, y), (width, thick, length) = (size / 2 for size in tool.palm_size_m), tool.pad_m
+    palm.disc(0, 0.0, 0.014, 0.0375, "flange")
+    palm.box((-x, -y, 0.014), (x, y, tool.palm_m), "housing")
+    arm.body("gripper").add_camera(
         name="wrist",
-        pos=(x, 0, z + 0.002),
-        xyaxes=(0, -1, 0, -forward[2], 0, forward[0]),
+        pos=(-radius, 0, tool.palm_m),
+        xyaxes=_camera_axes((-radius, 0, tool.palm_m), (0, 0, tip)),
         fovy=72,
     )
-
-
-def _draw_finger(pen: _Pen) -> None:
-    pen.box((-0.0130, 0.003, PALM_LENGTH_M), (0.0130, 0.020, 0.0965), "housing")  # carriage
-    pen.box((-0.0055, 0.009, 0.0965), (0.0055, 0.0165, 0.132), "shell")
-    for side in (-1, 1):
-        x, edge = side * 0.0078, side * 0.0137
-        pen.rod((x, 0.0140, 0.0985), (x, 0.0120, 0.1300), 0.0054, "link", "capsule")
-        for y, z in ((0.0140, 0.0985), (0.0120, 0.1300)):
-            pen.rod((x, y, z), (edge, y, z), 0.0038, "shell", "cylinder")  # pins
-            pen.rod((x, y, z), (edge + side * 0.0002, y, z), 0.0019, "steel", "cylinder")
-    low = TCP_M - PAD_LENGTH_M / 2
-    pen.box((-0.0110, PAD_THICK_M, low - 0.004), (0.0110, 0.0145, FINGERTIP_M - 0.003), "tip")
-    pen.box((-0.0110, PAD_THICK_M, FINGERTIP_M - 0.003), (0.0110, 0.0115, FINGERTIP_M), "tip")
-    half = PAD_WIDTH_M / 2
-    pen.box((-half, 0.0, low), (half, PAD_THICK_M - 0.0015, FINGERTIP_M), "rubber")
-    pen.box((-half, PAD_THICK_M - 0.0015, low), (half, PAD_THICK_M, FINGERTIP_M), "steel")
-    for k in range(1, 6):
-        z = low + k * PAD_LENGTH_M / 6
-        pen.box((-half - 0.0002, -0.0001, z - 0.0005), (half + 0.0002, 0.0012, z + 0.0005), "groove")
+    for i, sign in ((1, 1), (2, -1)):
+        pen, half = Pen(arm, f"finger_{i}", sign), tool.finger_width_m / 2
+        pen.box((-half, thick, tool.palm_m), (half, tool.finger_thick_m, tip), "tube")
+        pen.box((-width / 2, 0.0, tip - length), (width / 2, thick, tip), "rubber")
 
 
 # Frames of the mesh files in the body frames of ur10.xml: position in m, quaternion w, x, y, z.

@@ -7,6 +7,7 @@ import logging
 from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
+from dual_ur10.assets.tool import tool_named
 from dual_ur10.errors import DualUR10Error
 from dual_ur10.sim2real.config.cell_file_tables import ArmEntry, RobotiqSocket
 from dual_ur10.sim2real.links.arm_status import OPTIONAL_VARIABLES, STATUS_VARIABLES, ArmStatus
@@ -57,8 +58,8 @@ class StatusView(Closing):
         self._ended = system.event()
         parts = [_Part(self._watch_state, "dead"), _Part(self._watch_program, "program_fault")]
         if isinstance(arm.gripper, RobotiqSocket):
-            port = arm.gripper.port
-            parts.append(_Part(lambda ready: self._watch_gripper(port, ready), "gripper_fault"))
+            gripper = arm.gripper
+            parts.append(_Part(lambda ready: self._watch_gripper(gripper, ready), "gripper_fault"))
         self._ready = [system.event() for _ in parts]
         self._threads = [
             system.thread(functools.partial(self._run, part, ready), f"{name} {part.fault}")
@@ -103,8 +104,9 @@ class StatusView(Closing):
                 if self._ended.wait(_PROGRAM_S):
                     return
 
-    def _watch_gripper(self, port: int, ready: Event) -> None:
-        with RobotiqLink(self.arm.host, port, name=self.name, system=self._system) as link:
+    def _watch_gripper(self, gripper: RobotiqSocket, ready: Event) -> None:
+        tool = tool_named(gripper.tool)
+        with RobotiqLink(self.arm.host, gripper.port, name=self.name, system=self._system, tool=tool) as link:
             while True:
                 self.gripper = link.read()
                 ready.set()

@@ -31,7 +31,7 @@ enum Mode { STEP = 0, POSITION = 1, GOAL_GIVEN = 2 };
     INTS(periods, meetings) INTS(curved, meetings) REALS(pursuit, ticks * 11) REAL(pursuit_rate)                       \
     REALS(resume, 4 * width) REALS(joint_step, 12) REALS(lower, 12) REALS(upper, 12) REALS(leash, 12)                  \
     REALS(state, n * 132) INTS(rest, n) REALS(commanded, n * 12) REALS(action, n * 2 * size) REALS(targets, n * ticks * 12)          \
-    REALS(widths_m, n * ticks * 2) REAL(most_m) REALS(goal, n * 12) REALS(lowest, 2 * size) REALS(highest, 2 * size)   \
+    REALS(widths_m, n * ticks * 2) REALS(most_m, 2) REALS(goal, n * 12) REALS(lowest, 2 * size) REALS(highest, 2 * size)   \
     INTS(clipped, n)
 
 STRUCTURE(Adapter, ADAPTER)
@@ -256,7 +256,7 @@ EXPORT void adapter_step(const Adapter* a, int64_t first, int64_t last) {
         const double* action = a->action + row * 2 * a->size;
         step(*a, row, action, a->targets + row * a->ticks * JOINTS);
         for (int64_t k = 0; a->size == 7 && k < 2 * a->ticks; ++k)
-            a->widths_m[row * 2 * a->ticks + k] = (clamp(action[6 + 7 * (k & 1)], -1.0, 1.0) + 1.0) * (a->most_m / 2.0);
+            a->widths_m[row * 2 * a->ticks + k] = (clamp(action[6 + 7 * (k & 1)], -1.0, 1.0) + 1.0) * (a->most_m[k & 1] / 2.0);
     }
 }
 

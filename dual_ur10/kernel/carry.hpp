@@ -56,7 +56,7 @@ inline void evaluate(const Carry& s, int64_t row) {
     output[6] = length(inner - internal * along);
     double load[2];
     for (int arm = 0; arm < 2; ++arm) {
-        const goals::Pose tool = goals::tool_of(approach, goals::pose(at + 3 * arm, at + 6 + 4 * arm));
+        const goals::Pose tool = goals::tool_of(approach, arm, goals::pose(at + 3 * arm, at + 6 + 4 * arm));
         const bool held = s.welded || holds[arm] > 0.0;
         const Goal found = goal(*s.goals, arm, ahead, tool, {between[arm] > 0.0, held, width[arm]});
         output[arm] = goals::nearness(approach, found.step) * (found.closes ? 1.0 : goals::opened(approach, width[arm]));
@@ -99,7 +99,7 @@ inline void observe(const CarryAgents& s, int64_t row) {
     const goals::Seen seen = {*s.tool, s.both + 2 * row * s.size};
     const Approach& approach = *s.goals->approach;
     for (int64_t arm = 0; arm < 2; ++arm) {
-        const goals::Pose bar = seen.at(arm, s.bar), tool = goals::tool_of(approach, seen.commanded(arm));
+        const goals::Pose bar = seen.at(arm, s.bar), tool = goals::tool_of(approach, arm, seen.commanded(arm));
         const Vector there = bar.at + rotate(bar.turn, vector(s.grip_m + 3 * arm));
         const goals::Grip grip = goals::grip(approach, seen, arm, there);
         const Goal found = goal(*s.goals, arm, seen.at(arm, s.ahead), tool, grip);

@@ -9,9 +9,9 @@
 // in its tool's frame, whether it is between the fingers, and whether they hold it; rotations of the first two poses; and
 // all poses in the base frames of the left and the right arm.
 #define GRASP_LIMITS(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                           \
-    REAL(width_m) REAL(width_margin_m) REALS(between_m, 3)
+    REAL(width_m) REAL(width_margin_m) REALS(between_m, 6)
 #define GRASPS(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                                 \
-    INT(n) INT(poses) INT(inputs) INT(outputs) REAL(tcp_m) LINK(limits, GraspLimits) REALS(base_m, 6)                  \
+    INT(n) INT(poses) INT(inputs) INT(outputs) REALS(tcp_m, 2) LINK(limits, GraspLimits) REALS(base_m, 6)              \
     REALS(to_base, 18) REALS(quat_to_base, 32) REALS(grip_m, n * 6) REALS(input, n * inputs)                           \
     REALS(output, n * outputs)
 
@@ -28,12 +28,13 @@ inline Rotation from_quat(const double* q) {
             {2.0 * (x * z + w * y), 2.0 * (y * z - w * x), ww - xx - yy + zz}};
 }
 
-// For a grip in the frame of a tool.
-inline bool is_between(const GraspLimits& s, Vector grip) {
-    return fabs(grip.x) < s.between_m[0] && fabs(grip.y) < s.between_m[1] && fabs(grip.z) < s.between_m[2];
+// For a grip in the frame of an arm's tool.
+inline bool is_between(const GraspLimits& s, int64_t arm, Vector grip) {
+    const double* most = s.between_m + 3 * arm;
+    return fabs(grip.x) < most[0] && fabs(grip.y) < most[1] && fabs(grip.z) < most[2];
 }
-inline bool holds(const GraspLimits& s, Vector grip, double width_m) {
-    return is_between(s, grip) && fabs(width_m - s.width_m) < s.width_margin_m;
+inline bool holds(const GraspLimits& s, int64_t arm, Vector grip, double width_m) {
+    return is_between(s, arm, grip) && fabs(width_m - s.width_m) < s.width_margin_m;
 }
 
 // Grip in the frame of a tool, from that of its flange.
@@ -72,10 +73,10 @@ inline void measure(const Grasps& s, int64_t row) {
         write(rotate_back(flange, vector(flange_m + 3 * there) - here), other + 7 * arm);
         between(quat + 4 * arm, quat + 4 * there, other + 7 * arm + 3);
         const Vector wanted = vector(poses) + rotate(object, vector(s.grip_m + 6 * row + 3 * arm));
-        const Vector tool = in_tool(flange, here, s.tcp_m, wanted);
+        const Vector tool = in_tool(flange, here, s.tcp_m[arm], wanted);
         write(tool, grip + 3 * arm);
-        inside[arm] = is_between(*s.limits, tool);
-        held[arm] = holds(*s.limits, tool, width_m[arm]);
+        inside[arm] = is_between(*s.limits, arm, tool);
+        held[arm] = holds(*s.limits, arm, tool, width_m[arm]);
         for (int64_t k = 0; k < s.poses; ++k) {
             const double *pose = poses + 7 * k, *turn = s.quat_to_base + 16 * arm;
             double* out = bases + 7 * (arm * s.poses + k);

@@ -6,8 +6,8 @@
 
 // Of the left, then of the right gripper: commands of the next `delay` ticks, references, and widths in every step.
 #define GRIPPERS(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                               \
-    INT(n) INT(ticks) INT(substeps) INT(delay) REAL(step_m) REAL(slack_m) REALS(commanded_m, n * ticks * 2)            \
-    REALS(opening_m, n * 2) REALS(waiting_m, n * delay * 2) REALS(reference_m, n * 2)                                  \
+    INT(n) INT(ticks) INT(substeps) INT(delay) REALS(step_m, 2) REALS(slack_m, 2)                                     \
+    REALS(commanded_m, n * ticks * 2) REALS(opening_m, n * 2) REALS(waiting_m, n * delay * 2) REALS(reference_m, n * 2)                                  \
     REALS(widths_m, n * ticks * substeps * 2)
 
 STRUCTURE(Grippers, GRIPPERS)
@@ -22,12 +22,12 @@ EXPORT void grippers_step(const Grippers* g, int64_t first, int64_t last) {
         copy(queue + 2 * delay, g->commanded_m + 2 * row * ticks, 2 * ticks);
         copy(waiting, queue + 2 * ticks, 2 * delay);
         for (int64_t side = 0; side < 2; ++side) {
-            const double opening = g->opening_m[2 * row + side];
+            const double opening = g->opening_m[2 * row + side], step = g->step_m[side], slack = g->slack_m[side];
             double& reference = g->reference_m[2 * row + side];
-            reference = clamp(reference, opening - g->slack_m, opening + g->slack_m);
+            reference = clamp(reference, opening - slack, opening + slack);
             for (int64_t tick = 0; tick < ticks; ++tick) {
                 const double before = reference;
-                reference = before + clamp(queue[2 * tick + side] - before, -g->step_m, g->step_m);
+                reference = before + clamp(queue[2 * tick + side] - before, -step, step);
                 for (int64_t k = 0; k < g->substeps; ++k) {
                     const double ratio = static_cast<double>(k + 1) / static_cast<double>(g->substeps);
                     widths[2 * (tick * g->substeps + k) + side] = ratio * (reference - before) + before;

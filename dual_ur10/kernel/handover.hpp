@@ -38,7 +38,7 @@ inline void evaluate(const Handover& s, int64_t row) {
         facts[role] = between[arm];
         facts[2 + role] = holds[arm];
         facts[4 + role] = width[arm];
-        const goals::Pose tool = goals::tool_of(*s.goals->approach, goals::pose(at + 3 * arm, at + 6 + 4 * arm));
+        const goals::Pose tool = goals::tool_of(*s.goals->approach, arm, goals::pose(at + 3 * arm, at + 6 + 4 * arm));
         const goals::Step step = goals::step(*s.goals, scene, phase, arm, tool);
         facts[6 + role] = goals::nearness(*s.goals->approach, step);
         facts[8 + role] = goals::closes(*s.goals, scene, phase, arm, step);
@@ -89,7 +89,7 @@ inline void observe(const HandoverAgents& s, int64_t row) {
     }
     const goals::Phase phase = goals::phase(*s.goals, scene);
     for (int64_t arm = 0; arm < 2; ++arm) {
-        const goals::Pose tool = goals::tool_of(approach, seen.commanded(arm));
+        const goals::Pose tool = goals::tool_of(approach, arm, seen.commanded(arm));
         const goals::Step step = goals::step(*s.goals, scene, phase, arm, tool);
         const bool closes = goals::closes(*s.goals, scene, phase, arm, step);
         double* own = s.own + (2 * row + arm) * s.own_size;

@@ -4,11 +4,11 @@
 #include "forward.hpp"
 #include "grasps.hpp"
 
-// How tools come to grips: `tcp_m`, distance of the tool from its flange; `width_m`, opening at which fingers touch the
+// How tools come to grips: `tcp_m`, distance of each tool from its flange; `width_m`, opening at which fingers touch the
 // object, and `clear_m`, at which they are clear of it.
 #define APPROACH(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                               \
-    REAL(tcp_m) REAL(width_m) REAL(clear_m) REAL(opening_m) REAL(back_m) REAL(lever_m) REAL(aside) REAL(slack_m)       \
-    REAL(there_m) REAL(there) REAL(keep) REALS(scales_m, 2) REALS(scales, 2)
+    REALS(tcp_m, 2) REAL(width_m) REAL(clear_m) REALS(opening_m, 2) REAL(back_m) REAL(lever_m) REAL(aside)         \
+    REAL(slack_m) REAL(there_m) REAL(there) REAL(keep) REALS(scales_m, 2) REALS(scales, 2)
 
 // Where the fields of an arm begin among the `size` numbers of its observation (`gripper`: -1 without grippers), both
 // chains and bases, and the scales of what agents observe.
@@ -29,10 +29,13 @@ struct Pose {
 inline Pose pose(const double* from) { return {vector(from), rotation(from + 3)}; }
 inline Pose pose(const double* at, const double* quat) { return {vector(at), grasps::from_quat(quat)}; }
 inline Pose operator*(const Pose& a, const Pose& b) { return {a.at + rotate(a.turn, b.at), a.turn * b.turn}; }
-inline Pose tool_of(const Approach& s, const Pose& flange) {
-    return {flange.at + s.tcp_m * flange.turn.z, flange.turn};
+inline Pose tool_of(const Approach& s, int64_t arm, const Pose& flange) {
+    return {flange.at + s.tcp_m[arm] * flange.turn.z, flange.turn};
 }
 inline double length(Vector a) { return sqrt(squared(a)); }
+
+// Largest width that both tools have.
+inline double most(const Approach& s) { return smaller(s.opening_m[0], s.opening_m[1]); }
 
 // Step of a tool to its goal: translation, and twice the vector part of the rotation's quaternion; `left_m` is the
 // length of the way to the end of the phase.
@@ -81,12 +84,12 @@ inline double nearness(const Approach& s, const Step& step) {
 
 // What a nearness counts for with open fingers that are not to close: 1 once they are open.
 inline double opened(const Approach& s, double width_m) {
-    return 0.8 + 0.2 * clamp((width_m - s.width_m) / (s.opening_m - s.width_m), 0.0, 1.0);
+    return 0.8 + 0.2 * clamp((width_m - s.width_m) / (most(s) - s.width_m), 0.0, 1.0);
 }
 
 // 1 for fingers at the object's width, 0 fully open or closed beyond it.
 inline double closed(const Approach& s, double width_m) {
-    return larger(1.0 - fabs(width_m - s.width_m) / (s.opening_m - s.width_m), 0.0);
+    return larger(1.0 - fabs(width_m - s.width_m) / (most(s) - s.width_m), 0.0);
 }
 
 // One row of joint observations, in the cell frame.
@@ -121,9 +124,9 @@ struct Grip {
 inline Grip grip(const Approach& s, const Seen& seen, int64_t arm, Vector grip_m) {
     if (seen.s.gripper < 0) return {true, true, 0.0};  // welded
     const Pose flange = seen.at(arm, seen.s.flange);
-    const Vector away = grasps::in_tool(flange.turn, flange.at, s.tcp_m, grip_m);
+    const Vector away = grasps::in_tool(flange.turn, flange.at, s.tcp_m[arm], grip_m);
     const double width_m = seen.number(arm, seen.s.gripper);
-    return {grasps::is_between(*seen.s.grips, away), grasps::holds(*seen.s.grips, away, width_m), width_m};
+    return {grasps::is_between(*seen.s.grips, arm, away), grasps::holds(*seen.s.grips, arm, away, width_m), width_m};
 }
 
 // Write what an agent observes: the numbers of its arm, and behind them the goals' fields, in their order.
@@ -132,7 +135,7 @@ inline void write_fields(const Approach& approach, const Seen& seen, int64_t arm
     const ToolFields& s = seen.s;
     copy(own, seen.both + arm * s.size, s.size);
     double* more = own + s.size;
-    const Step lag = to(tool_of(approach, seen.at(arm, s.flange)), tool);
+    const Step lag = to(tool_of(approach, arm, seen.at(arm, s.flange)), tool);
     const auto near = [](Vector v, double scale) { return (1.0 / (scale + length(v))) * v; };
     write(step.move, more);
     write(step.turn, more + 3);
@@ -143,7 +146,7 @@ inline void write_fields(const Approach& approach, const Seen& seen, int64_t arm
     more += 18;
     if (s.gripper >= 0) {
         more[0] = grip.between;
-        more[1] = grip.width_m / approach.opening_m;
+        more[1] = grip.width_m / approach.opening_m[arm];
         more[2] = !closes;
         more += 3;
     }

@@ -7,10 +7,11 @@
 #include "numbers.hpp"
 
 // Forces and torques of the wrists on the grippers, (2, 2, 3), and orientations, (2, 4), of both flanges, in the arms'
-// `base` frames, give the wrenches, (2, 6), in these frames. `moment_nm` is the gripper's weight times its lever; `up` is
+// `base` frames, give the wrenches, (2, 6), in these frames. `moment_nm` are the grippers' weights times their levers; `up` is
 // the direction against gravity in each frame, (2, 3).
 #define WRENCH(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                                 \
-    INT(n) REAL(weight_n) REALS(moment_nm, 3) REALS(up, 6) REALS(sensed, n * 12) REALS(quat, n * 8) REALS(wrench, n * 12)
+    INT(n) REALS(weight_n, 2) REALS(moment_nm, 6) REALS(up, 6) REALS(sensed, n * 12) REALS(quat, n * 8)                \
+    REALS(wrench, n * 12)
 
 STRUCTURE(Wrench, WRENCH)
 
@@ -35,12 +36,12 @@ inline Vector turned(const double* r, double x, double y, double z) {
 
 inline void compute(const Wrench& s, int64_t row) {
     for (int arm = 0; arm < 2; ++arm) {
-        const double *force = s.sensed + 12 * row + 3 * arm, *torque = force + 6, *weight = s.moment_nm;
+        const double *force = s.sensed + 12 * row + 3 * arm, *torque = force + 6, *weight = s.moment_nm + 3 * arm;
         double r[9], *out = s.wrench + 12 * row + 6 * arm;
         matrix(s.quat + 8 * row + 4 * arm, r);
         const Vector f = turned(r, -force[0], -force[1], -force[2]), t = turned(r, -torque[0], -torque[1], -torque[2]);
         const Vector moment = turned(r, weight[0], weight[1], weight[2]);
-        const Vector up = vector(s.up + 3 * arm), lift = s.weight_n * up, about = cross(moment, up);
+        const Vector up = vector(s.up + 3 * arm), lift = s.weight_n[arm] * up, about = cross(moment, up);
         const double values[6] = {f.x + lift.x, f.y + lift.y, f.z + lift.z,
                                   t.x + about.x, t.y + about.y, t.z + about.z};
         copy(out, values, 6);

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from dual_ur10.assets.cell_spec import actuator_names, joint_names
-from dual_ur10.assets.gripper import FINGERTIP_M, FORCE_N, MASS_KG, OPENING_M, SPEED_M_S, TCP_M
 from dual_ur10.assets.props import BLOCK
+from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 from dual_ur10.assets.scene import build_model, sensor_slices
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.assets.visuals import CAMERAS, cameras
@@ -62,23 +62,23 @@ def test_frames(settings):
         flange, wrench, tcp = (site_pose(data, f"{arm}/{name}") for name in ("flange", "wrench", "tcp"))
         assert np.abs(wrench - flange).max() < 1e-9
         inside = np.linalg.inv(flange) @ tcp
-        assert np.abs(inside[:3, 3] - [0, 0, TCP_M]).max() < 1e-9
+        assert np.abs(inside[:3, 3] - [0, 0, TOOL.tcp_m]).max() < 1e-9
         assert angle(inside[:3, :3], np.eye(3)) < 1e-7
         inverse, tip_z = np.linalg.inv(flange), []
         for i, sign in ((1, 1), (2, -1)):
             pad = model.geom(f"{arm}/pad_{i}")
             place = inverse[:3, :3] @ data.geom_xpos[pad.id] + inverse[:3, 3]
-            assert np.abs(place - [0, sign * (OPENING / 2 + pad.size[1]), TCP_M]).max() < 1e-9
+            assert np.abs(place - [0, sign * (OPENING / 2 + pad.size[1]), TOOL.tcp_m]).max() < 1e-9
             tip_z.append(place[2] + pad.size[2])
-        assert tip_z == pytest.approx([FINGERTIP_M] * 2)
+        assert tip_z == pytest.approx([TOOL.fingertip_m] * 2)
 
 
 @pytest.mark.parametrize("timestep_s", [0.001, 0.002])
-@pytest.mark.parametrize("force_n", FORCE_N)
+@pytest.mark.parametrize("force_n", TOOL.force_n)
 def test_fingers_follow_a_ramp_without_overshoot(timestep_s, force_n):
     model, data = at(with_timestep(timestep_s, force_n), opening=0.0)
-    for start, end in ((0.0, OPENING_M), (OPENING_M, 0.03)):
-        commands = np.arange(start, end, np.sign(end - start) * SPEED_M_S * timestep_s)
+    for start, end in ((0.0, TOOL.stroke_m), (TOOL.stroke_m, 0.03)):
+        commands = np.arange(start, end, np.sign(end - start) * TOOL.speed_m_s[1] * timestep_s)
         for command in (*commands, *[end] * round(0.3 / timestep_s)):
             data.ctrl[6] = command
             mujoco.mj_step(model, data)
@@ -133,7 +133,7 @@ def test_pads_press_with_the_force_set(force_n):
 
 
 def test_a_gripper_does_not_touch_itself():
-    for opening in (-0.001, 0.0, OPENING_M):  # closed at full force, the joint limits yield a little
+    for opening in (-0.001, 0.0, TOOL.stroke_m):  # closed at full force, the joint limits yield a little
         _, data = at(GRIPPERS, opening=opening)
         assert data.ncon == 0
 
@@ -158,11 +158,11 @@ def test_the_wrench_at_rest_carries_the_gripper():
     for arm in ARMS:
         axes = data.site(f"{arm}/wrench").xmat.reshape(3, 3)
         force, torque = (data.sensordata[slices[f"{arm}/wrench_{kind}"]] for kind in ("force", "torque"))
-        assert axes @ force == pytest.approx([0, 0, MASS_KG * GRAVITY], abs=1e-3)
+        assert axes @ force == pytest.approx([0, 0, TOOL.mass_kg * GRAVITY], abs=1e-3)
         lever = data.subtree_com[model.body(f"{arm}/gripper").id] - data.site(f"{arm}/wrench").xpos
         assert axes @ torque == pytest.approx(np.cross(lever, axes @ force), abs=1e-3)
     # Straight down, it is along the flange's -z.
-    assert data.sensordata[slices["left/wrench_force"]] == pytest.approx([0, 0, -MASS_KG * GRAVITY], abs=1e-3)
+    assert data.sensordata[slices["left/wrench_force"]] == pytest.approx([0, 0, -TOOL.mass_kg * GRAVITY], abs=1e-3)
 
 
 def test_the_wrench_has_the_sign_of_a_push():
@@ -181,8 +181,8 @@ def test_the_wrench_has_the_sign_of_a_push():
 def test_the_mass_is_that_of_the_data_sheet():
     model = build_model(GRIPPERS)
     for arm in ARMS:
-        assert model.body_subtreemass[model.body(f"{arm}/gripper").id] == pytest.approx(MASS_KG)
-    assert MASS_KG == 0.925
+        assert model.body_subtreemass[model.body(f"{arm}/gripper").id] == pytest.approx(TOOL.mass_kg)
+    assert TOOL.mass_kg == 0.925
 
 
 def test_wrist_cameras_see_the_fingertips():
@@ -190,7 +190,7 @@ def test_wrist_cameras_see_the_fingertips():
     assert tuple(model.camera(i).name for i in range(model.ncam)) == cameras(GRIPPERS)
     assert cameras(SceneSettings()) == CAMERAS
     data = mujoco.MjData(model)
-    for opening in (0.0, OPENING_M):
+    for opening in (0.0, TOOL.stroke_m):
         data.qpos[:16] = np.pad(HOME_Q_RAD, ((0, 0), (0, 2)), constant_values=opening / 2).ravel()
         mujoco.mj_forward(model, data)
         for arm in ARMS:

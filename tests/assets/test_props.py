@@ -8,7 +8,6 @@ import pytest
 
 from dual_ur10 import kinematics
 from dual_ur10.assets import props
-from dual_ur10.assets.gripper import MASS_KG, TCP_M
 from dual_ur10.assets.props import (
     BAR,
     BAR_LENGTH_M,
@@ -21,6 +20,7 @@ from dual_ur10.assets.props import (
     GRIP_DISTANCE_M,
     TARGET,
 )
+from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 from dual_ur10.assets.scene import build_model, sensor_slices
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.kinematics.rotations import quat_to_matrix
@@ -34,7 +34,7 @@ STEPS = np.linspace(0.0, 0.1, 51)  # m, heights of a lift
 def configurations(settings, arm, tcp_m, quat):
     """Return joint positions (n, 6) that bring the tcp to points (n, 3) in the cell, with one orientation."""
     orientation = quat_to_matrix(np.array(quat))
-    flange = np.asarray(tcp_m) - orientation[:, 2] * TCP_M - settings.mounts[arm].position_m
+    flange = np.asarray(tcp_m) - orientation[:, 2] * TOOL.tcp_m - settings.mounts[arm].position_m
     position, rotation = kinematics.to_base_link(flange, orientation)
     return np.array([kinematics.nearest(each, rotation, HOME_Q_RAD[arm], NOMINAL_DH) for each in position])
 
@@ -125,7 +125,7 @@ def test_two_grippers_lift_the_bar_and_hold_it():
         (rig.data.site(f"{arm}/wrench").xmat.reshape(3, 3) @ rig.data.sensordata[slices[f"{arm}/wrench_force"]])[2]
         for arm in ARMS
     )
-    assert carried == pytest.approx((BAR_MASS_KG + 2 * MASS_KG) * 9.81, rel=5e-3)
+    assert carried == pytest.approx((BAR_MASS_KG + 2 * TOOL.mass_kg) * 9.81, rel=5e-3)
 
 
 @pytest.fixture(params=[0.001, 0.002])

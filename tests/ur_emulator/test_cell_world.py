@@ -34,7 +34,7 @@ def widths(world):
 def test_arms_stand_where_the_task_begins(task, family):
     world = world_of(task, family, plant="nominal")
     for _ in range(50):
-        world.advance(standing(world), widths(world), [world.gripper_kg] * 2)
+        world.advance(standing(world), widths(world), world.gripper_kg)
     for arm in range(2):
         reading = world.read(arm)
         assert np.allclose(reading.q_rad, world.start_q_rad[arm], atol=1e-9)
@@ -99,7 +99,7 @@ def test_an_object_is_placed_at_rest():
     world.place(np.array([*lifted, *quat]))
     assert np.allclose(world.pose("block")[0], lifted)
     for _ in range(125):
-        world.advance(standing(world), widths(world), [world.gripper_kg] * 2)
+        world.advance(standing(world), widths(world), world.gripper_kg)
     fallen, _ = world.pose("block")
     assert np.allclose(fallen, np.add(position, [0.05, -0.02, 0.0]), atol=5e-3)
     with pytest.raises(SettingsError, match="no object"):
@@ -109,7 +109,7 @@ def test_an_object_is_placed_at_rest():
 def test_an_undeclared_payload_makes_an_arm_sag():
     declared, silent = world_of("Handover", plant="nominal"), world_of("Handover", plant="nominal")
     for _ in range(125):
-        declared.advance(standing(declared), widths(declared), [declared.gripper_kg] * 2)
+        declared.advance(standing(declared), widths(declared), declared.gripper_kg)
         silent.advance(standing(silent), widths(silent), [0.0, 0.0])
     sag = silent.read(0).q_rad - declared.read(0).q_rad
     assert np.abs(sag).max() > 1e-4

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from dual_ur10.assets.gripper import TCP_M
 from dual_ur10.assets.props import GRIP_DISTANCE_M, GRIP_QUAT
+from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 from dual_ur10.kinematics.frames import Frames
 from dual_ur10.kinematics.rotations import quat_multiply, quat_to_rotvec, rotate
 from dual_ur10.sim2real.config.cell import CellConfig
@@ -74,7 +74,7 @@ def test_two_arms_lift_a_bar(cell):
     def grips(height):
         """Return the flange poses that grip the bar, in each arm's base frame, at a height above it."""
         along = rotate(quat, np.array([0.0, GRIP_DISTANCE_M / 2, 0.0]))
-        points = np.add([position + along, position - along], [0.0, 0.0, height + TCP_M])
+        points = np.add([position + along, position - along], [0.0, 0.0, height + TOOL.tcp_m])
         rotation = quat_multiply(quat, GRIP_QUAT)
         rotations = frames.quat_to_base(np.array([rotation, rotation]))
         places = frames.position_to_base(points)

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dual_ur10.assets.gripper import FORCE_N, KP_N_M, OPENING_M
+from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 from tests.soak import scaled
 from ur_emulator.robotiq import (
     ACTIVATION_S,
@@ -22,10 +22,10 @@ DT_S = 0.008
 class Fingers:
     """Fingers that follow the servo's reference with its lag, between an object and a stop."""
 
-    def __init__(self, gripper: RobotiqGripper, width_m: float = OPENING_M) -> None:
+    def __init__(self, gripper: RobotiqGripper, width_m: float = TOOL.stroke_m) -> None:
         self.gripper, self.width_m = gripper, width_m
         self._delayed: deque[float] = deque([width_m] * round(gripper.latency_s / DT_S))
-        self.least_m, self.most_m = 0.0, OPENING_M
+        self.least_m, self.most_m = 0.0, TOOL.stroke_m
         self.reference_m = width_m
         self.now_s = 0.0
 
@@ -56,7 +56,7 @@ def get(gripper: RobotiqGripper, name: str) -> int:
     return int(value)
 
 
-def active(width_m: float = OPENING_M, latency_s: float = 0.0) -> tuple[RobotiqGripper, Fingers]:
+def active(width_m: float = TOOL.stroke_m, latency_s: float = 0.0) -> tuple[RobotiqGripper, Fingers]:
     gripper = RobotiqGripper(latency_s=latency_s)
     fingers = Fingers(gripper, width_m)
     assert gripper.answer("SET ACT 1") == "ack"
@@ -73,7 +73,7 @@ def test_activation_takes_time_and_opens_the_fingers():
     assert gripper.answer("SET ACT 1") == "ack"
     assert get(gripper, "STA") == 1
     assert fingers.run_until("STA", 3) >= ACTIVATION_S - DT_S
-    assert fingers.width_m == pytest.approx(OPENING_M, abs=1e-3)
+    assert fingers.width_m == pytest.approx(TOOL.stroke_m, abs=1e-3)
     assert get(gripper, "FLT") == 0
 
 
@@ -82,7 +82,7 @@ def test_nothing_moves_before_activation():
     fingers = Fingers(gripper)
     assert gripper.answer("SET POS 255 GTO 1") == "ack"
     fingers.run(2.0)
-    assert fingers.width_m == OPENING_M
+    assert fingers.width_m == TOOL.stroke_m
     assert get(gripper, "FLT") == 7
     assert get(gripper, "GTO") == 0
     gripper.answer("SET ACT 1")
@@ -90,7 +90,7 @@ def test_nothing_moves_before_activation():
     gripper.answer("SET POS 255 GTO 1")
     assert get(gripper, "FLT") == 5
     fingers.run(ACTIVATION_S / 2)
-    assert fingers.width_m == pytest.approx(OPENING_M, abs=1e-3)
+    assert fingers.width_m == pytest.approx(TOOL.stroke_m, abs=1e-3)
     fingers.run_until("POS", 255)
     assert get(gripper, "FLT") == 0
 
@@ -103,7 +103,7 @@ def test_positions_are_linear_in_the_opening(position):
     assert get(gripper, "OBJ") == MOVING
     fingers.run_until("OBJ", AT_POSITION)
     fingers.run(0.2)
-    assert fingers.width_m == pytest.approx(OPENING_M * (1 - position / 255), abs=1e-4)
+    assert fingers.width_m == pytest.approx(TOOL.stroke_m * (1 - position / 255), abs=1e-4)
     assert get(gripper, "POS") == position
 
 
@@ -126,21 +126,21 @@ def test_grip_stops_at_the_object_and_presses_with_the_force(force):
     assert get(gripper, "OBJ") == MOVING
     fingers.run_until("OBJ", STOPPED_CLOSING)
     fingers.run(0.1)
-    asked_n = FORCE_N[0] + (FORCE_N[1] - FORCE_N[0]) * force / 255
-    assert KP_N_M * (fingers.width_m - fingers.reference_m) == pytest.approx(asked_n, rel=1e-6)
-    assert get(gripper, "POS") == round(255 * (1 - 0.05 / OPENING_M))
+    asked_n = TOOL.force_n[0] + (TOOL.force_n[1] - TOOL.force_n[0]) * force / 255
+    assert TOOL.servo_kp * (fingers.width_m - fingers.reference_m) == pytest.approx(asked_n, rel=1e-6)
+    assert get(gripper, "POS") == round(255 * (1 - 0.05 / TOOL.stroke_m))
     assert gripper.answer("SET POS 255 GTO 1") == "ack"  # a repetition changes nothing
     assert get(gripper, "OBJ") == STOPPED_CLOSING
 
 
 def test_fingers_that_press_for_a_while_count_as_blocked():
     gripper, fingers = active()
-    fingers.least_m = OPENING_M - 0.002
+    fingers.least_m = TOOL.stroke_m - 0.002
     gripper.answer("SET POS 255 SPE 0 FOR 255 GTO 1")
-    force_s = FORCE_N[1] / KP_N_M / 0.02  # until the reference is so far ahead
+    force_s = TOOL.force_n[1] / TOOL.servo_kp / 0.02  # until the reference is so far ahead
     took_s = fingers.run_until("OBJ", STOPPED_CLOSING)
     assert force_s + 0.1 < took_s < force_s + 0.5
-    assert gripper.force_n == FORCE_N[1]
+    assert gripper.force_n == TOOL.force_n[1]
 
 
 def test_before_they_count_as_stopped_the_force_is_bounded():
@@ -150,8 +150,8 @@ def test_before_they_count_as_stopped_the_force_is_bounded():
     pressed_n = 0.0
     while get(gripper, "OBJ") == MOVING:
         fingers.tick()
-        pressed_n = max(pressed_n, KP_N_M * (fingers.width_m - fingers.reference_m))
-    assert FORCE_N[0] < pressed_n <= FORCE_N[0] + KP_N_M * 0.02 * 0.15 * 1.001
+        pressed_n = max(pressed_n, TOOL.servo_kp * (fingers.width_m - fingers.reference_m))
+    assert TOOL.force_n[0] < pressed_n <= TOOL.force_n[0] + TOOL.servo_kp * 0.02 * 0.15 * 1.001
     assert get(gripper, "OBJ") == STOPPED_CLOSING
 
 
@@ -185,8 +185,8 @@ def test_late_fingers_do_not_count_as_blocked(force):
     gripper.answer("SET POS 255")
     fingers.run_until("OBJ", STOPPED_CLOSING)
     fingers.run(0.3)
-    pressed_n = KP_N_M * (fingers.width_m - fingers.reference_m)
-    assert pressed_n == pytest.approx(FORCE_N[0] if force == 0 else FORCE_N[1], rel=1e-6)
+    pressed_n = TOOL.servo_kp * (fingers.width_m - fingers.reference_m)
+    assert pressed_n == pytest.approx(TOOL.force_n[0] if force == 0 else TOOL.force_n[1], rel=1e-6)
 
 
 def test_initial_values_of_the_gripper():
@@ -232,7 +232,7 @@ def test_stop_and_go_on():
     gripper.answer("SET GTO 0")
     fingers.run(0.1)
     stopped_m = fingers.width_m
-    assert 0.01 < stopped_m < OPENING_M - 0.01
+    assert 0.01 < stopped_m < TOOL.stroke_m - 0.01
     fingers.run(1.0)
     assert fingers.width_m == pytest.approx(stopped_m, abs=1e-4)
     gripper.answer("SET GTO 1")
@@ -313,7 +313,7 @@ def test_no_line_raises_and_the_reference_stays_in_the_stroke(steps):
         assert gripper.answer(line) in ("ack", "?\n") or line.split()[0] == "GET"
         for _ in range(ticks):
             reference_m = gripper.tick(DT_S, width_m)
-            assert 0.0 <= reference_m <= OPENING_M
+            assert 0.0 <= reference_m <= TOOL.stroke_m
             last_m = width_m
     if last_m is not None:
         assert 0 <= get(gripper, "POS") <= 255

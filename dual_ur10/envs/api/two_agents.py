@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from gymnasium import spaces
 
+from dual_ur10.assets.tool import strokes_m
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.types import Array
 
@@ -37,6 +38,7 @@ def check_options(reward: str, keywords: Mapping[str, Any]) -> None:
 def agent_spaces(core: Core) -> tuple[list[Any], list[Any]]:
     """Return the observation spaces and the action spaces of the agents, each a `gymnasium.spaces.Box`."""
     layout = core.task.agent_layout_for(core.setup.settings)
+    layout = layout.with_stroke(max(strokes_m(core.config.equipment.tools)))
     bounds = zip(layout.low.reshape(2, -1), layout.high.reshape(2, -1), strict=True)
     dtype: Any = core.observation_space.dtype
     observation = [spaces.Box(low.astype(dtype), high.astype(dtype), dtype=dtype.type) for low, high in bounds]

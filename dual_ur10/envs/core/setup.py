@@ -6,7 +6,6 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
-from dual_ur10.assets.gripper import TCP_M
 from dual_ur10.assets.settings import Equipment, default_mount
 from dual_ur10.envs.core.options import MOVE_TO_START, OPTION_NAMES, EnvOptions
 from dual_ur10.envs.core.randomization import Randomization, resolve_randomization
@@ -138,7 +137,7 @@ class EnvSetup:
         Raises:
             SettingsError: Or one of its kinds: a value is not legal.
         """
-        config, options, equipment = self.config, self.options, self.requirements.equipment
+        config, options, equipment = self.config, self.options, self.config.equipment
         mounts = (config.left, config.right)
         return ServojAdapter(
             config.servoj,
@@ -149,7 +148,8 @@ class EnvSetup:
             gripper=equipment.grippers and not equipment.welded,
             compensate_lag=options.compensate_lag,
             dh=[mount.dh for mount in mounts],
-            tcp_m=TCP_M if equipment.grippers else 0.0,
+            tcp_m=[tool.tcp_m if equipment.grippers else 0.0 for tool in equipment.tools],
+            stroke_m=[tool.stroke_m for tool in equipment.tools],
             yaw_rad=[mount.yaw_rad for mount in mounts],
             tilt_rad=[mount.tilt_rad for mount in mounts],
             speed_factor=config.speed_factor,

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from dual_ur10.assets.tool import strokes_m
 from dual_ur10.envs.sim.servo_reference import Motion, ServojReference
 from dual_ur10.errors import ClosedError, SettingsError
 from dual_ur10.sim2real.config.cell import CellConfig, CellRequest, CellState, CellStep, Start, TickTrace
@@ -41,7 +42,7 @@ class EchoCell:
         if config.perturbation != Perturbation():
             raise SettingsError("a perturbation is for simulated cells: a dry run has no plant. Leave it out")
         self.config, self.ticks = config, ticks
-        self._queue = CommandQueue(1, latency_ticks)
+        self._queue = CommandQueue(1, latency_ticks, strokes_m(config.equipment.tools))
         self._reference = ServojReference(config.servoj, 1, 1, ticks, config.speed_factor)
         self._mirror: MirrorModel | None = MirrorModel(config.scene)
         self._gripper_m: Array | None = None

@@ -8,10 +8,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.assets.gripper import OPENING_M, SPEED_M_S
 from dual_ur10.assets.prop import Prop
 from dual_ur10.assets.scene import sensor_slices
 from dual_ur10.assets.settings import SceneSettings
+from dual_ur10.assets.tool import Tool, strokes_m
 from dual_ur10.envs.sim.feedforward import GRAVITY_M_S2
 from dual_ur10.errors import ActionError, UnknownNameError
 from dual_ur10.kernel import RowLoop, Struct
@@ -41,13 +41,17 @@ class GripperServos:
         ticks: Ticks per call.
         tick_s: Time between two commands.
         substeps: Physics steps per tick.
-        slack_m: Largest distance of the reference ahead of the fingers: more than full force needs.
+        slack_m: (2,) largest distance of each reference ahead of the fingers: more than full force needs.
+        tools: Tools of both arms.
     """
 
-    def __init__(self, n: int, ticks: int, tick_s: float, substeps: int, slack_m: float) -> None:
+    def __init__(
+        self, n: int, ticks: int, tick_s: float, substeps: int, slack_m: Array, tools: tuple[Tool, Tool]
+    ) -> None:
         delay = round(LATENCY_S / tick_s)
-        self._waiting: Array = np.full((n, delay, 2), OPENING_M)
-        self._reference: Array = np.full((n, 2), OPENING_M)
+        self._most_m: Array = np.array(strokes_m(tools))
+        self._waiting: Array = np.tile(self._most_m, (n, delay, 1))
+        self._reference: Array = np.tile(self._most_m, (n, 1))
         self._commanded: Array = np.zeros((n, ticks, 2))
         self._opening: Array = np.zeros((n, 2))
         self._widths: Array = np.zeros((n, ticks * substeps, 2))
@@ -57,7 +61,7 @@ class GripperServos:
             ticks=ticks,
             substeps=substeps,
             delay=delay,
-            step_m=SPEED_M_S * tick_s,
+            step_m=np.array([tool.speed_m_s[1] * tick_s for tool in tools]),
             slack_m=slack_m,
             commanded_m=self._commanded,
             opening_m=self._opening,
@@ -82,13 +86,12 @@ class GripperServos:
         Raises:
             ActionError: A width is beyond the gripper's range, or not a number.
         """
-        least, most = np.minimum.reduce(commanded_m, axis=None), np.maximum.reduce(commanded_m, axis=None)
-        if not (least >= 0.0 and most <= OPENING_M):
-            within = (commanded_m >= 0.0) & (commanded_m <= OPENING_M)
+        within = (commanded_m >= 0.0) & (commanded_m <= self._most_m)
+        if not np.logical_and.reduce(within, axis=None):
             row, tick, arm = np.argwhere(~within)[0]
             raise ActionError(
                 f"gripper {('left', 'right')[arm]} is asked for an opening of {commanded_m[row, tick, arm]:.4g} m "
-                f"(cell {row}): it has 0 to {OPENING_M} m"
+                f"(cell {row}): it has 0 to {self._most_m[arm]} m"
             )
         self._commanded[:], self._opening[:] = commanded_m, opening_m
         self._step()
@@ -125,9 +128,9 @@ class Handling:
         self._forces: Array = sensors[:, first : first + 12].reshape(n, 2, 2, 3)
         left, right = (model.body(f"{arm}/gripper").id for arm in ARMS)
         self._orientations: Array = batch.bind("xquat")[:, left : right + 1 : right - left]
-        mass_kg, lever_m = _weight(model)
-        weight_n = mass_kg * GRAVITY_M_S2
-        self._kp = float(model.actuator("left/gripper").gainprm[0])
+        weights = [_weight(model, arm) for arm in ARMS]
+        weight_n = np.array([mass_kg * GRAVITY_M_S2 for mass_kg, _ in weights])
+        self._kp = np.array([float(model.actuator(f"{arm}/gripper").gainprm[0]) for arm in ARMS])
         self._sensed: Array = np.zeros((n, 2, 2, 3))
         self._base_quat: Array = np.zeros((n, 2, 4))
         self._computed, self._wrench = np.zeros((2, n, 2, 6))
@@ -135,7 +138,7 @@ class Handling:
             "Wrench",
             n=n,
             weight_n=weight_n,
-            moment_nm=weight_n * lever_m,
+            moment_nm=np.array([weight * lever_m for weight, (_, lever_m) in zip(weight_n, weights, strict=True)]),
             up=np.ascontiguousarray(
                 to_base(settings.mounts)[1][:, :, 2]
             ),  # controllers know how their bases are mounted
@@ -147,8 +150,10 @@ class Handling:
 
     def servos(self, config: CellConfig, steps: int) -> GripperServos:
         """Make the controllers of the grippers, for so many physics steps per call."""
-        slack_m = _SLACK * config.equipment.grip_force_n / self._kp
-        return GripperServos(self.n, steps // config.substeps, config.servoj.tick_s, config.substeps, slack_m)
+        equipment = config.equipment
+        slack_m = _SLACK * equipment.grip_force_n / self._kp
+        ticks, tick_s = steps // config.substeps, config.servoj.tick_s
+        return GripperServos(self.n, ticks, tick_s, config.substeps, slack_m, equipment.tools)
 
     @property
     def opening_m(self) -> Array:
@@ -238,11 +243,11 @@ class Props:
             qvel[:, self._dofs[name]] = 0.0
 
 
-def _weight(model: Any) -> tuple[float, Array]:
-    """Return the mass of a gripper, and its centre in the flange's frame, (3,), with the fingers on its axis."""
+def _weight(model: Any, arm: str) -> tuple[float, Array]:
+    """Return the mass of an arm's gripper, and its centre in the flange's frame, (3,), with the fingers on its axis."""
     mass, moment = 0.0, np.zeros(3)
     for name in ("gripper", "finger_1", "finger_2"):
-        body = model.body(f"left/{name}")
+        body = model.body(f"{arm}/{name}")
         mass += float(body.mass[0])
         # The fingers' offsets across the axis cancel.
         moment += float(body.mass[0]) * body.ipos * (name == "gripper" or np.array([1.0, 0.0, 1.0]))

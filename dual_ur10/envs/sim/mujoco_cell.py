@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from dual_ur10.assets.tool import strokes_m
 from dual_ur10.envs.sim.physics import Physics
 from dual_ur10.envs.sim.servo_reference import Motion, ServojReference, TargetDelay, TimeScaledTargets
 from dual_ur10.errors import ClosedError, SettingsError
@@ -47,7 +48,7 @@ class MujocoCell:
         self.config, self.ticks, self.n = config, ticks, n
         self.threads = threads
         self.steps = ticks * config.substeps
-        self._queue = CommandQueue(n, latency_ticks)
+        self._queue = CommandQueue(n, latency_ticks, strokes_m(config.equipment.tools))
         slow = config.speed_factor
         self._scaled = None if slow == 1.0 else TimeScaledTargets(n, config.substeps, slow)
         self._delay = TargetDelay(n, 1 if self._scaled else config.substeps)

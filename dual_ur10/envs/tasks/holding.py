@@ -6,7 +6,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from dual_ur10.assets.gripper import OPENING_M, PAD_LENGTH_M, TCP_M
+from dual_ur10.assets.settings import DEFAULT_TOOLS
+from dual_ur10.assets.tool import Tool, levers_m
 from dual_ur10.errors import SettingsError
 from dual_ur10.kernel import RowLoop, Struct
 from dual_ur10.kinematics.frames import Frames
@@ -14,8 +15,6 @@ from dual_ur10.kinematics.poses import Poses
 from dual_ur10.kinematics.rotations import rotate
 from dual_ur10.sim2real.config.cell import CellState
 from dual_ur10.types import Array, Mask
-
-TCP_LEVER: Final[Array] = np.array([0.0, 0.0, TCP_M])
 
 APPROACH_M: Final = 0.1
 """Length of the straight approach of a tool to its grip."""
@@ -32,8 +31,9 @@ PICKING: Final = {(f"{arm}/fingers", "table"): _TABLE_M for arm in ("left", "rig
 _WIDTH_MARGIN_M: Final = 0.001  # of fingers that an object stops
 
 
-_BETWEEN_M: Final = np.array([0.06, OPENING_M / 4, PAD_LENGTH_M * 0.75])
-"""Largest distances of a grip from the tool centre point, along the axes of the tool, between the fingers."""
+def _between_m(tool: Tool) -> list[float]:
+    """Return the largest distances of a grip between the fingers from the tool centre point, along the tool's axes."""
+    return [0.06, tool.stroke_m / 4, tool.pad_m[2] * 0.75]
 
 
 class Grasped(NamedTuple):
@@ -66,9 +66,17 @@ class Grasps:
         grip_m: (n, 2, 3) position of each arm's grip in the object's frame; later changes count.
         width_m: Width of the object at the grips.
         poses: Number k of poses: the object's, and at least another one.
+        tools: Tools of both arms.
     """
 
-    def __init__(self, frames: Frames, grip_m: Array, width_m: float, poses: int) -> None:
+    def __init__(
+        self,
+        frames: Frames,
+        grip_m: Array,
+        width_m: float,
+        poses: int,
+        tools: tuple[Tool, Tool] = DEFAULT_TOOLS,
+    ) -> None:
         self._n = n = len(grip_m)
         self._input, self._output = np.zeros((n, 16 + 7 * poses)), np.zeros((n, 42 + 14 * poses))
         struct = Struct(
@@ -77,8 +85,8 @@ class Grasps:
             poses=poses,
             inputs=self._input.shape[1],
             outputs=self._output.shape[1],
-            tcp_m=TCP_M,
-            limits=grasp_limits(width_m),
+            tcp_m=np.array([tool.tcp_m for tool in tools]),
+            limits=grasp_limits(width_m, tools),
             base_m=frames.base_m,
             to_base=np.ascontiguousarray(frames.rotation),
             quat_to_base=frames.quat_products,
@@ -110,14 +118,22 @@ class Grasps:
         )
 
 
-def grasp_limits(width_m: float) -> Struct:
+def grasp_limits(width_m: float, tools: tuple[Tool, Tool] = DEFAULT_TOOLS) -> Struct:
     """Return the conditions of a grasp of an object with this width at its grips, for the kernel."""
-    return Struct("GraspLimits", width_m=width_m, width_margin_m=_WIDTH_MARGIN_M, between_m=_BETWEEN_M)
+    between_m = np.array([_between_m(tool) for tool in tools])
+    return Struct("GraspLimits", width_m=width_m, width_margin_m=_WIDTH_MARGIN_M, between_m=between_m)
 
 
-def flanges_of(tools: Poses) -> Poses:
-    """Return the flange poses of tool poses, in the same frame."""
-    away = rotate(tools.quat, np.broadcast_to(TCP_LEVER, tools.position_m.shape))
+def flanges_of(tools: Poses, lever_m: Array | None = None) -> Poses:
+    """Return the flange poses of tool poses, in the same frame.
+
+    Args:
+        tools: (..., 3) and (..., 4).
+        lever_m: Tool centre points in the flange frames: (2, 3) for poses of both arms, (3,) for one; None: those of
+            the default tools.
+    """
+    lever_m = levers_m(DEFAULT_TOOLS)[0] if lever_m is None else lever_m
+    away = rotate(tools.quat, np.broadcast_to(lever_m, tools.position_m.shape))
     return Poses(tools.position_m - away, tools.quat)
 
 

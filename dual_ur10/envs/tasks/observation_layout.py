@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -34,6 +34,10 @@ class Field:
     unit: str
     description: str
     mujoco: str = "-"
+
+
+_WIDTHS: Final = ("gripper_m", "other_gripper_m")
+_WIDTH_ROOM: Final = 1.15  # times the stroke: fingers yield, and their widths are measured with an error
 
 
 class ObservationLayout:
@@ -69,6 +73,14 @@ class ObservationLayout:
     def extended(self, *fields: Field) -> ObservationLayout:
         """Return a layout with further fields at the end."""
         return ObservationLayout(*self.fields, *fields)
+
+    def with_stroke(self, stroke_m: float) -> ObservationLayout:
+        """Return the layout with bounds for gripper widths up to a stroke: the layout itself, if it has them."""
+        most = _WIDTH_ROOM * stroke_m
+        if not any(field.name in _WIDTHS and field.high < most for field in self.fields):
+            return self
+        wider = (replace(field, low=-most, high=most) if field.name in _WIDTHS else field for field in self.fields)
+        return ObservationLayout(*wider)
 
     def join(self, values: Mapping[str, Array]) -> Array:
         """Assemble observations, (n, 2 * size), from fields, (n, 2, field size) each."""

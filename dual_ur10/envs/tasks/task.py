@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar, cast
 import numpy as np
 
 from dual_ur10.assets.settings import Equipment
+from dual_ur10.assets.tool import strokes_m
 from dual_ur10.envs.tasks.observation_layout import ObservationLayout
 from dual_ur10.errors import SettingsError
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
@@ -108,7 +109,7 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
     def __init__(self, settings: SettingsT, cell: CellConfig, timing: Timing, n: int) -> None:
         self.settings, self.cell, self.timing, self.n = settings, cell, timing, n
         self.limits = cell.capped(type(self).limits)
-        self.layout = self.layout_for(settings)
+        self.layout = self.layout_for(settings).with_stroke(max(strokes_m(cell.equipment.tools)))
 
     @classmethod
     def layout_for(cls, settings: SettingsT) -> ObservationLayout:

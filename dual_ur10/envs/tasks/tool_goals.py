@@ -18,7 +18,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from dual_ur10.assets.gripper import OPENING_M, TCP_M
+from dual_ur10.assets.settings import DEFAULT_TOOLS
+from dual_ur10.assets.tool import Tool, strokes_m
 from dual_ur10.envs.tasks.agent_observations import AgentObservations
 from dual_ur10.envs.tasks.holding import APPROACH_M, grasp_limits
 from dual_ur10.envs.tasks.observation_layout import Field, ObservationLayout
@@ -65,14 +66,14 @@ GRIPPER_FIELDS: Final = ("between", "opening", "goal_opening")
 """Those of them that need a gripper."""
 
 
-def approach(width_m: float) -> Struct:
+def approach(width_m: float, tools: tuple[Tool, Tool] = DEFAULT_TOOLS) -> Struct:
     """Return the constants of tools that come to grips of this width, for the kernel."""
     return Struct(
         "Approach",
-        tcp_m=TCP_M,
+        tcp_m=np.array([tool.tcp_m for tool in tools]),
         width_m=width_m,
         clear_m=width_m + _CLEARANCE_M,
-        opening_m=OPENING_M,
+        opening_m=np.array(strokes_m(tools)),
         back_m=APPROACH_M,
         lever_m=LEVER_M,
         aside=_ASIDE,
@@ -99,6 +100,7 @@ def goal_observations(
     mounts: tuple[ArmMount, ArmMount],
     width_m: float,
     fields: Mapping[str, str],
+    tools: tuple[Tool, Tool] = DEFAULT_TOOLS,
     **values: Any,
 ) -> AgentObservations:
     """Return the function that adds `GOAL_FIELDS` to what each arm observes.
@@ -111,6 +113,7 @@ def goal_observations(
         mounts: Mounts of both arms.
         width_m: Width of the object between the fingers.
         fields: Fields of an arm whose positions the structure has, by its names for them.
+        tools: Tools of both arms.
         **values: Other fields of the structure.
     """
     frames = Frames(mounts)
@@ -126,7 +129,7 @@ def goal_observations(
         links=np.stack([links(mount.dh) for mount in mounts]),
         base_m=frames.base_m,
         to_base=np.ascontiguousarray(frames.rotation),
-        grips=grasp_limits(width_m),
+        grips=grasp_limits(width_m, tools),
     )
     positions = {each: begin[field] for each, field in fields.items()}
     return AgentObservations(name, function, layout.size, own.size, tool=tool, **positions, **values)

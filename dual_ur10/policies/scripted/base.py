@@ -7,7 +7,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from dual_ur10.assets.settings import SceneSettings
+from dual_ur10.assets.settings import DEFAULT_TOOLS, SceneSettings
+from dual_ur10.assets.tool import Tool, levers_m
 from dual_ur10.envs.tasks.task import Task, Timing
 from dual_ur10.errors import ActionError, SettingsError
 from dual_ur10.kinematics import nearest
@@ -27,6 +28,7 @@ class ScriptedPolicy:
         mounts: Poses of the bases and kinematics of the arms; None: those of the default cell.
         limits: Motion limits of the task, as far as the cell allows them; None: those of the task.
         settings: Settings of the task; None: the default ones.
+        tools: Tools of both arms.
 
     Raises:
         SettingsError: Actions of this mode are not of joints.
@@ -41,12 +43,14 @@ class ScriptedPolicy:
         mounts: Sequence[ArmMount] | None = None,
         limits: MotionLimits | None = None,
         settings: Any = None,
+        tools: tuple[Tool, Tool] = DEFAULT_TOOLS,
     ) -> None:
         if action_mode not in ("joint_delta", "joint_position"):
             raise SettingsError(f"the scripted policy commands joints: action_mode {action_mode!r} is not for it")
         self.timing, self.action_mode = timing, action_mode
         self.mounts = SceneSettings().mounts if mounts is None else tuple(mounts)
         self.limits = limits or self.task.limits
+        self._levers_m = levers_m(tools)
         self.settings = self.task.settings_type() if settings is None else settings
         self._layout, self._name = self.task.layout_for(self.settings), self.task.__name__  # the name in messages
         self._step_rad = np.tile(self.limits.speed_rad_s, 2) * timing.period_s

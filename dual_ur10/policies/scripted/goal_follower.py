@@ -7,7 +7,8 @@ from typing import Any, ClassVar, Final
 
 import numpy as np
 
-from dual_ur10.assets.settings import SceneSettings
+from dual_ur10.assets.settings import DEFAULT_TOOLS, SceneSettings
+from dual_ur10.assets.tool import Tool
 from dual_ur10.envs.tasks.handover.task import Handover
 from dual_ur10.envs.tasks.sync_carry.task import SyncCarry
 from dual_ur10.envs.tasks.task import Timing
@@ -32,6 +33,7 @@ class GoalFollower:
         mounts: Poses of the bases and kinematics of the arms; None: those of the default cell.
         limits: Not used.
         settings: Settings of the task; None: the default ones.
+        tools: Tools of both arms.
 
     Raises:
         UnknownNameError: Another action mode.
@@ -46,13 +48,14 @@ class GoalFollower:
         mounts: Sequence[ArmMount] | None = None,
         limits: MotionLimits | None = None,
         settings: Any = None,
+        tools: tuple[Tool, Tool] = DEFAULT_TOOLS,
     ) -> None:
         if action_mode != "tcp_delta":
             raise UnknownNameError("action mode of the goal follower", action_mode, ["tcp_delta"])
         both = SceneSettings().mounts if mounts is None else (mounts[0], mounts[1])
         settings = settings or self.task.settings_type()
         self._layout, self._own = self.task.layout_for(settings), self.task.agent_layout_for(settings)
-        self._observe = self.task.agents_for(settings, both)
+        self._observe = self.task.agents_for(settings, both, tools)
         self._most = np.repeat([TCP_STEP_M_S, TCP_ROTATION_RAD_S], 3) * timing.period_s
 
     def reset(self) -> None:

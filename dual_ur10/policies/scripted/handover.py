@@ -9,10 +9,12 @@ from typing import ClassVar, Final
 import numpy as np
 
 from dual_ur10.assets.props import BLOCK_SIZE_M
+from dual_ur10.assets.settings import DEFAULT_TOOLS
+from dual_ur10.assets.tool import Tool
 from dual_ur10.envs.tasks.handover.settings import HandoverSettings
 from dual_ur10.envs.tasks.handover.stages import WIDTH_M
 from dual_ur10.envs.tasks.handover.task import Handover
-from dual_ur10.envs.tasks.holding import LEARNERS_ROOM_M, TCP_LEVER
+from dual_ur10.envs.tasks.holding import LEARNERS_ROOM_M
 from dual_ur10.envs.tasks.observation_layout import pose_of
 from dual_ur10.envs.tasks.task import Timing, duration_ratio
 from dual_ur10.errors import LostError
@@ -89,11 +91,12 @@ class HandoverPolicy(ScriptedPolicy):
         mounts: Sequence[ArmMount] | None = None,
         limits: MotionLimits | None = None,
         settings: HandoverSettings | None = None,
+        tools: tuple[Tool, Tool] = DEFAULT_TOOLS,
     ) -> None:
-        super().__init__(timing, action_mode, mounts, limits, settings)
+        super().__init__(timing, action_mode, mounts, limits, settings, tools)
         calm = np.tile(Handover.limits.speed_rad_s, 2) / duration_ratio(Handover.limits, self.limits)
         self._speed = np.minimum(np.tile(self.limits.speed_rad_s, 2), calm) * _SPEED_RATIO
-        self._paths = HandoverPaths(self.mounts, self._speed, timing.period_s)
+        self._paths = HandoverPaths(self.mounts, self._speed, timing.period_s, levers_m=self._levers_m)
         self._is_expert = False
         self.reset()
 
@@ -102,7 +105,7 @@ class HandoverPolicy(ScriptedPolicy):
 
         A learner does not know the time in a motion either. An expert answers how to go on from where the arms are.
         """
-        self._paths = HandoverPaths(self.mounts, self._speed, self.timing.period_s, LEARNERS_ROOM_M)
+        self._paths = HandoverPaths(self.mounts, self._speed, self.timing.period_s, LEARNERS_ROOM_M, self._levers_m)
         self._is_expert = True
 
     def reset(self) -> None:
@@ -225,7 +228,7 @@ class HandoverPolicy(ScriptedPolicy):
         paths, giver, receiver = self._paths, episode.giver, 1 - episode.giver
         q = arms["commanded_q_rad"]
         flange = paths.to_cell(pose_of(arms, "flange_base"))
-        tools = Poses(flange.position_m + rotate(flange.quat, np.tile(TCP_LEVER, (2, 1))), flange.quat)
+        tools = Poses(flange.position_m + rotate(flange.quat, self._levers_m), flange.quat)
         if episode.phase == _MEET:
             return paths.meet(q, giver, _of(tools, giver))
         if episode.phase == _PLACE:

@@ -8,7 +8,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from dual_ur10.assets.props import BLOCK_SIZE_M
-from dual_ur10.assets.settings import home_q_rad
+from dual_ur10.assets.settings import DEFAULT_TOOLS, home_q_rad
+from dual_ur10.assets.tool import levers_m as tool_levers_m
 from dual_ur10.envs.tasks.handover.settings import GRIPS, MEETING_M, laid_quat, presented_quat
 from dual_ur10.envs.tasks.holding import APPROACH_M, flanges_of
 from dual_ur10.kinematics import nearest
@@ -73,9 +74,18 @@ class HandoverPaths:
         speed_rad_s: (12,) limits of the joint speeds.
         period_s: Time between two actions.
         higher_m: Extra distance of both grips from the fingertips, beyond that of the task.
+        levers_m: (2, 3) tool centre points in the flange frames; None: those of the default tools.
     """
 
-    def __init__(self, mounts: Sequence[ArmMount], speed_rad_s: Array, period_s: float, higher_m: float = 0.0) -> None:
+    def __init__(
+        self,
+        mounts: Sequence[ArmMount],
+        speed_rad_s: Array,
+        period_s: float,
+        higher_m: float = 0.0,
+        levers_m: Array | None = None,
+    ) -> None:
+        self._levers_m = tool_levers_m(DEFAULT_TOOLS) if levers_m is None else levers_m
         self._mounts, self._speed, self._higher_m = mounts, speed_rad_s, higher_m
         self._smooth_s = max(_SMOOTH_S, _SMOOTH_PERIODS * period_s)
         self._frames, self._home = Frames((mounts[0], mounts[1])), home_q_rad(mounts)
@@ -160,7 +170,7 @@ class HandoverPaths:
         return (before + after_it) / 2, (after_it - before) / (2 * _DT_S)
 
     def _inverse(self, arm: int, tool: Poses, near_rad: Array) -> Array:
-        flange = flanges_of(tool)
+        flange = flanges_of(tool, self._levers_m[arm])
         both = Poses(np.tile(flange.position_m, (2, 1)), np.tile(flange.quat, (2, 1)))
         position, quat = self._frames.position_to_base(both.position_m)[arm], self._frames.quat_to_base(both.quat)[arm]
         q: Array = nearest(position[None], quat_to_matrix(quat)[None], near_rad[None], self._mounts[arm].dh)[0]

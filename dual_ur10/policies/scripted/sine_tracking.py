@@ -8,6 +8,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from dual_ur10.assets.settings import DEFAULT_TOOLS
+from dual_ur10.assets.tool import Tool
 from dual_ur10.envs.tasks.sine_tracking.settings import SineSettings
 from dual_ur10.envs.tasks.sine_tracking.task import SineTracking
 from dual_ur10.envs.tasks.task import Timing
@@ -49,10 +51,11 @@ class SineTrackingPolicy(ScriptedPolicy):
         mounts: Sequence[ArmMount] | None = None,
         limits: MotionLimits | None = None,
         settings: SineSettings | None = None,
+        tools: tuple[Tool, Tool] = DEFAULT_TOOLS,
         *,
         learn: bool = True,
     ) -> None:
-        super().__init__(timing, action_mode, mounts, limits, settings)
+        super().__init__(timing, action_mode, mounts, limits, settings, tools)
         latency_s = timing.ahead_s - timing.period_s
         self.learn = learn and latency_s <= min(_LATENCY_S, _LATENCY_PERIODS * timing.period_s)
         self._restart_rad = max(_RESTART_RAD, _CHANGE_RAD_S3 * timing.period_s**3)

@@ -8,6 +8,8 @@ from typing import ClassVar, Final
 import numpy as np
 
 from dual_ur10.assets.props import BAR_WIDTH_M
+from dual_ur10.assets.settings import DEFAULT_TOOLS
+from dual_ur10.assets.tool import Tool
 from dual_ur10.envs.tasks.holding import LEARNERS_ROOM_M, flanges_of
 from dual_ur10.envs.tasks.observation_layout import pose_of
 from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings
@@ -47,8 +49,9 @@ class SyncCarryPolicy(ScriptedPolicy):
         mounts: Sequence[ArmMount] | None = None,
         limits: MotionLimits | None = None,
         settings: CarrySettings | None = None,
+        tools: tuple[Tool, Tool] = DEFAULT_TOOLS,
     ) -> None:
-        super().__init__(timing, action_mode, mounts, limits, settings)
+        super().__init__(timing, action_mode, mounts, limits, settings, tools)
         self._speed = np.tile(SyncCarry.limits.speed_rad_s, 2) * (
             _SPEED_RATIO / duration_ratio(SyncCarry.limits, self.limits)
         )
@@ -124,7 +127,7 @@ class SyncCarryPolicy(ScriptedPolicy):
         self._time_s[row] = 0.0
         if not self.settings.rigid:
             bar = on_table(bar, self.mounts, BAR_WIDTH_M / 2 + self._higher_m)
-            flange = flanges_of(compose(bar, self.settings.grip))
+            flange = flanges_of(compose(bar, self.settings.grip), self._levers_m)
             above = Poses(flange.position_m + np.array([0.0, 0.0, _ABOVE_M]), flange.quat)
             lower = Poses(above.position_m - np.array([0.0, 0.0, 1e-3]), flange.quat)
             points = np.concatenate([self._inverse(pose, commanded).reshape(1, 12) for pose in (above, lower, flange)])

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from dual_ur10.assets.obstacles import Box, Capsule, Plane
 from dual_ur10.assets.settings import Equipment
+from dual_ur10.assets.tool import Tool
 from dual_ur10.errors import CellFileError, RecordingError, SettingsError, UnknownNameError
 from dual_ur10.ids import TASKS, is_registered
 from dual_ur10.kinematics.frames import ArmMount
@@ -122,6 +123,9 @@ def _built(kind: type[Any], values: Mapping[str, Any]) -> Any:
     for name, value in values.items():
         if name not in known:
             raise UnknownNameError(kind.__name__, str(name), known)
+        if name == "tools" and value is not None:
+            inner[name] = tuple(_built(Tool, each) for each in value)
+            continue
         if name == "obstacles":
             inner[name] = tuple(map(_obstacle, value))
             continue

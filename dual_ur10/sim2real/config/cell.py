@@ -19,6 +19,7 @@ from dual_ur10.assets.collision_model import CLEARANCE_CUTOFF_M
 from dual_ur10.assets.obstacles import Obstacle
 from dual_ur10.assets.prop import Prop
 from dual_ur10.assets.settings import (
+    DEFAULT_TOOLS,
     INTEGRATORS,
     MOST_UNSTABLE,
     Equipment,
@@ -27,6 +28,7 @@ from dual_ur10.assets.settings import (
     default_mount,
     stability_number,
 )
+from dual_ur10.assets.tool import Tool, tools_of
 from dual_ur10.errors import RateError, SettingsError, UnknownNameError
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.poses import Poses
@@ -276,6 +278,7 @@ class CellConfig:
         grippers_mounted: True if grippers are mounted even though the task does not use them: the safety gate measures
             distances with them.
         equipment: Grippers and what they handle; set by the task.
+        tools: Tools of the left and the right arm, as `Tool` or by name; None: those of the task.
 
     Raises:
         RateError: The physics step does not divide the tick.
@@ -305,6 +308,7 @@ class CellConfig:
     wrench_noise: tuple[float, float] = (2.0, 0.2)
     grippers_mounted: bool = False
     equipment: Equipment = field(default_factory=Equipment)
+    tools: tuple[Tool, Tool] | None = None
 
     def __post_init__(self) -> None:
         kind = cell_kind(self.kind)
@@ -314,6 +318,7 @@ class CellConfig:
                     f"{name} of the cell must be a {wanted.__name__}, found {type(getattr(self, name)).__name__}"
                 )
         self._settle_models()
+        self._settle_tools()
         if self.servoj.damping < LEAST_DAMPING:
             least = (2 * LEAST_DAMPING / self.servoj.lookahead_s) ** 2
             raise SettingsError(
@@ -381,6 +386,22 @@ class CellConfig:
                 )
         for name, value in zip((*ARMS, "servoj"), (*mounts, servoj), strict=True):
             object.__setattr__(self, name, value)
+
+    def _settle_tools(self) -> None:
+        """Put the cell's own tools in place of the default ones of its equipment.
+
+        Raises:
+            UnknownNameError: There is no tool of a name.
+            SettingsError: The task needs others, or `tools` is none.
+        """
+        if self.tools is None:
+            return
+        tools, needed = tools_of(self.tools), self.equipment.tools
+        if needed not in (DEFAULT_TOOLS, tools):
+            names = (" and ".join(tool.name for tool in each) for each in (needed, tools))
+            raise SettingsError("the task needs the tools {}, and the cell has {}: mount them".format(*names))
+        object.__setattr__(self, "tools", tools)
+        object.__setattr__(self, "equipment", replace(self.equipment, tools=tools))
 
     @property
     def robots(self) -> tuple[str, str]:

@@ -19,6 +19,7 @@ from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
 from dual_ur10.assets.obstacles import Obstacle
 from dual_ur10.assets.settings import default_mount
+from dual_ur10.assets.tool import Tool, tool_named
 from dual_ur10.errors import CellFileError, SettingsError, UnknownNameError
 from dual_ur10.files import read_regular
 from dual_ur10.ids import discover
@@ -223,11 +224,18 @@ class CellFile(Table):
                 grippers_mounted=any(not isinstance(arm.gripper, NoGripper) for arm in self.arms),
                 file=self,
                 measured_lookahead_s=self._lookahead_s(),
+                tools=self._tools(),
                 tcp_m=(self.left.tcp_position_m or ZERO, self.right.tcp_position_m or ZERO),
                 **{name: self._tighter(name) for name in ArmLimits.model_fields},  # type: ignore[arg-type]  # floats
             )
         except SettingsError as error:
             raise _error(self.source, [str(error)]) from error
+
+    def _tools(self) -> tuple[Tool, Tool] | None:
+        """Return the tools of both arms; None: neither has a gripper. An arm without one counts as its fellow."""
+        names = [None if isinstance(arm.gripper, NoGripper) else arm.gripper.tool for arm in self.arms]
+        left, right = names[0] or names[1], names[1] or names[0]
+        return None if left is None or right is None else (tool_named(left), tool_named(right))
 
     def simulated(self) -> CellConfig:
         """Return the simulated cell of the same configuration, with the measured lookahead and latency of its arms.

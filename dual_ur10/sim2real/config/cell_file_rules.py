@@ -10,13 +10,22 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from dual_ur10.assets.settings import SceneSettings
-from dual_ur10.errors import SettingsError
+from dual_ur10.assets.tool import tool_named
+from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.robots import robot_model
 from dual_ur10.kinematics.rotations import quat_conjugate, quat_multiply, quat_to_rotvec, rotate
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import LEAST_DAMPING
-from dual_ur10.sim2real.config.cell_file_tables import LEVEL, ZERO, ArmEntry, EmulatedTrackerEntry, Kind, PlaneEntry
+from dual_ur10.sim2real.config.cell_file_tables import (
+    LEVEL,
+    ZERO,
+    ArmEntry,
+    EmulatedTrackerEntry,
+    Kind,
+    NoGripper,
+    PlaneEntry,
+)
 
 if TYPE_CHECKING:
     from dual_ur10.sim2real.config.cell_file import CellFile
@@ -41,6 +50,7 @@ def inconsistencies(cell: CellFile) -> Iterator[str]:
     for name, arm in zip(ARMS, cell.arms, strict=True):
         yield from _servoj(name, arm)
         yield from _model(name, arm)
+        yield from _tool(name, arm)
     if cell.emulator is not None and not emulated:
         yield 'emulator is in the file of a real cell: it is allowed with kind = "emulated" only. Take the table out'
     for index, entry in enumerate(cell.tracker):
@@ -128,6 +138,21 @@ def _servoj(name: str, arm: ArmEntry) -> Iterator[str]:
             f"{name}.servoj.gain is {profile.gain:g} with lookahead_s = {profile.lookahead_s:g}: the arm would swing "
             f"(damping {profile.damping:.2f}, allowed is {LEAST_DAMPING} or more). Choose a gain of {math.ceil(least)} "
             "or more, or a longer lookahead"
+        )
+
+
+def _tool(name: str, arm: ArmEntry) -> Iterator[str]:
+    if isinstance(arm.gripper, NoGripper):
+        return
+    try:
+        tool = tool_named(arm.gripper.tool)
+    except (SettingsError, UnknownNameError) as error:
+        yield f"{name}.gripper.tool: {error}"
+        return
+    if arm.gripper.kind not in tool.drivers:
+        yield (
+            f"{name}.gripper.kind is {arm.gripper.kind!r}, which cannot drive the tool {tool.name!r}: use "
+            f"{' or '.join(map(repr, tool.drivers))}, or name the tool at the flange"
         )
 
 

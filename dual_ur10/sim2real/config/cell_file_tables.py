@@ -19,6 +19,7 @@ from typing import Annotated, Any, Final, Literal, Self, TypeVar
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 from dual_ur10.assets import obstacles
+from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85
 from dual_ur10.ids import ENV_IDS, is_registered
 from dual_ur10.kinematics import ur10
 from dual_ur10.kinematics.frames import MAX_MOUNT_M, MAX_TILT_RAD, ArmMount
@@ -111,6 +112,9 @@ def _text(allowed: str, **constraints: Any) -> Any:
 Name = Annotated[str, _text("up to 64 letters, digits, _ and -, in quotes", pattern=f"^{obstacles.NAME}$")]
 Serial = Annotated[str, _text("up to 32 letters, digits and hyphens, in quotes", pattern="^[A-Za-z0-9-]{1,32}$")]
 Address = Annotated[str, AfterValidator(_checked_address), _text("an IPv4 address; names are not looked up")]
+ToolName = Annotated[
+    str, _text("the name of a tool: up to 64 letters, digits, _ and -, in quotes", pattern="^[A-Za-z0-9_-]{1,64}$")
+]
 Day = Annotated[str, _text("a day such as 2026-01-31, in quotes", pattern=r"^\d{4}-\d{2}-\d{2}$")]
 FileName = Annotated[str, _text("a file name of up to 200 characters, in quotes", pattern=r"^[^\x00-\x1f\x7f]{1,200}$")]
 Model = Annotated[str, AfterValidator(_checked_model), _text("one of " + ", ".join(f'"{each}"' for each in ROBOTS))]
@@ -156,6 +160,9 @@ def _without_nothing(values: Mapping[str, Any]) -> dict[str, Any]:
     return kept
 
 
+_TOOL: Final = "tool at the flange: robotiq_2f85, generic_140, or one that an installed package names"
+
+
 class NoGripper(Table):
     """Flange without a gripper."""
 
@@ -167,6 +174,7 @@ class RobotiqSocket(Table):
 
     kind: Literal["robotiq"] = "robotiq"
     port: int = key("TCP port of Robotiq's URCap", ROBOTIQ_PORT, low=1, high=65535)
+    tool: ToolName = key(_TOOL, ROBOTIQ_2F85.name)
 
 
 class DigitalGripper(Table):
@@ -181,6 +189,7 @@ class DigitalGripper(Table):
         example=0,
     )
     open_level: bool = key("level of the output that opens the gripper", False)
+    tool: ToolName = key(_TOOL, ROBOTIQ_2F85.name)
 
 
 def _with_kind(value: Any) -> Any:

@@ -14,6 +14,7 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from dual_ur10.assets.settings import DEFAULT_TOOLS
 from dual_ur10.errors import UnknownNameError
 from dual_ur10.kernel import RowLoop, Struct
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply, quat_to_matrix
@@ -30,8 +31,8 @@ ActionMode = Literal["joint_delta", "joint_position", "tcp_delta"]
 JOINT_MARGIN_RAD = 0.01
 """Margin inside the joint range of the gate at which the adapter brakes."""
 
-GRIPPER_WIDTH_M = 0.085
-"""Full gripper width, Robotiq 2F-85 data sheet."""
+STROKES_M = (DEFAULT_TOOLS[0].stroke_m, DEFAULT_TOOLS[1].stroke_m)
+"""Largest width of each gripper where no other tools are named."""
 
 TCP_STEP_M_S = 0.25
 """Speed of the tool centre point at action 1 of `tcp_delta`: the reduced speed of ISO 10218-1."""
@@ -96,7 +97,8 @@ class ServojAdapter:
         gripper: An action has a seventh number per arm, the gripper's width: -1 closed, 1 open.
         compensate_lag: Send targets ahead by the law's inverse, so that the arms do not lag.
         dh: The arms' kinematics, for "tcp_delta".
-        tcp_m: Distance of the tool centre points before the flanges, for "tcp_delta".
+        tcp_m: (2,) distance of each tool centre point before its flange, for "tcp_delta".
+        stroke_m: (2,) largest width of each gripper.
         yaw_rad: Rotation of each base about the vertical, for "tcp_delta".
         tilt_rad: Tilt of each base after that, as in `ArmMount`, for "tcp_delta".
         speed_factor: Rate of task time in real time. At 0.25 a second of the task takes four, in which the controllers'
@@ -116,7 +118,8 @@ class ServojAdapter:
         gripper: bool = False,
         compensate_lag: bool = True,
         dh: Sequence[DHParameters],
-        tcp_m: float = 0.0,
+        tcp_m: Sequence[float] = (0.0, 0.0),
+        stroke_m: Sequence[float] = STROKES_M,
         yaw_rad: Sequence[float] = (0.0, 0.0),
         tilt_rad: Sequence[tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0)),
         speed_factor: float = 1.0,
@@ -127,7 +130,8 @@ class ServojAdapter:
             raise UnknownNameError("action mode", str(mode), get_args(ActionMode))
         self.profile, self.limits, self.ticks, self.n = profile, limits.narrowed(JOINT_MARGIN_RAD), ticks, n
         self.mode, self.gripper, self.compensate_lag, self.dh = mode, gripper, compensate_lag, tuple(dh)
-        self._tcp_m = tcp_m
+        self._tcp_m = tuple(tcp_m)
+        self.stroke_m: Array = np.array(stroke_m, dtype=np.float64)
         self.period_s, self.speed_factor = ticks * profile.tick_s, speed_factor
         # The law in task time.
         lookahead_s = profile.lookahead_s if lookahead_s is None else lookahead_s
@@ -202,7 +206,7 @@ class ServojAdapter:
             action=self._action,
             targets=self._targets,
             widths_m=self._widths,
-            most_m=GRIPPER_WIDTH_M,
+            most_m=self.stroke_m,
             goal=self._cartesian_goal,
             lowest=low - _ROUNDING,
             highest=high + _ROUNDING,
@@ -374,7 +378,7 @@ class ServojAdapter:
             vectors = asked[:, arm].reshape(-1, 2, 3) @ self._to_base[arm].T
             step = vectors[:, 0] * (TCP_STEP_M_S * self.period_s)
             rotation = vectors[:, 1] * (TCP_ROTATION_RAD_S * self.period_s)
-            goal[:, arm] = goal_of_step(now[:, arm], step, rotation, self._steps_to_rest, dh, self._tcp_m)
+            goal[:, arm] = goal_of_step(now[:, arm], step, rotation, self._steps_to_rest, dh, self._tcp_m[arm])
         return goal
 
 

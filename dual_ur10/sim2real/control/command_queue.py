@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from dual_ur10.errors import SettingsError
-from dual_ur10.sim2real.control.adapter import GRIPPER_WIDTH_M, Command
+from dual_ur10.sim2real.control.adapter import STROKES_M, Command
 from dual_ur10.types import Array, Rows
 
 MAX_LATENCY_TICKS = 125
@@ -31,20 +33,22 @@ class CommandQueue:
     Args:
         n: Number of cells.
         latency_ticks: Latency L.
+        stroke_m: (2,) largest width of each gripper.
 
     Raises:
         SettingsError: See `checked_latency`.
     """
 
-    def __init__(self, n: int, latency_ticks: int) -> None:
+    def __init__(self, n: int, latency_ticks: int, stroke_m: Sequence[float] = STROKES_M) -> None:
         self.latency_ticks = checked_latency(latency_ticks)
         self._targets: Array = np.zeros((n, self.latency_ticks, 2, 6))
-        self._widths: Array = np.full((n, self.latency_ticks, 2), GRIPPER_WIDTH_M)
+        self._open_m: Array = np.array(stroke_m, dtype=np.float64)
+        self._widths: Array = np.tile(self._open_m, (n, self.latency_ticks, 1))
 
     def reset(self, q_rad: Array, rows: Rows, gripper_m: Array | None = None) -> None:
         """Start `rows` at rest at `q_rad`, (len(rows), 2, 6), with gripper widths (len(rows), 2), or open grippers."""
         self._targets[rows] = q_rad[:, None]
-        self._widths[rows] = GRIPPER_WIDTH_M if gripper_m is None else np.asarray(gripper_m)[:, None]
+        self._widths[rows] = self._open_m if gripper_m is None else np.asarray(gripper_m)[:, None]
 
     def __call__(self, command: Command) -> Command:
         """Queue a command and return the one that acts now."""

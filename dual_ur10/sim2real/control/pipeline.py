@@ -8,7 +8,7 @@ import numpy as np
 
 from dual_ur10.errors import ActionError
 from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.sim2real.control.adapter import GRIPPER_WIDTH_M, Command, ServojAdapter
+from dual_ur10.sim2real.control.adapter import Command, ServojAdapter
 from dual_ur10.sim2real.control.gate import SafetyGate, Verdict
 from dual_ur10.sim2real.control.proximity import ProximityScaling
 from dual_ur10.types import Array, Rows
@@ -53,7 +53,7 @@ class ServojPipeline:
         if self._proximity is not None:
             self._proximity.reset(np.asarray(q_rad, dtype=np.float64).reshape(12))
         index = slice(None) if rows is None else rows
-        self._widths[index] = GRIPPER_WIDTH_M if gripper_m is None else gripper_m
+        self._widths[index] = self.adapter.stroke_m if gripper_m is None else gripper_m
 
     def __call__(self, action: object) -> tuple[Command, dict[int, Verdict]]:
         """Return the command of an action as far as the gate releases it.

@@ -9,7 +9,7 @@ from __future__ import annotations
 from contextlib import ExitStack
 from typing import Final
 
-from dual_ur10.assets.gripper import OPENING_M
+from dual_ur10.assets.tool import tool_named
 from dual_ur10.sim2real.config.cell_file_tables import DigitalGripper
 from dual_ur10.sim2real.links.link_socket import check_timeout
 from dual_ur10.sim2real.links.rtde_link import PORT, RtdeClient, RtdeLink
@@ -27,13 +27,12 @@ CHANGE_S: Final = 0.5
 
 _RATE_HZ: Final = 25.0
 _IN_USE: Final = "IN_USE"
-_OPEN_ABOVE_M: Final = 0.55 * OPENING_M
-_CLOSED_BELOW_M: Final = 0.45 * OPENING_M  # hysteresis: noise does not make it chatter
+_OPEN_ABOVE, _CLOSED_BELOW = 0.55, 0.45  # of the stroke; hysteresis: noise does not make it chatter
 _GROUPS: Final = (("standard", 0, 8), ("configurable", 8, 16), ("tool", 16, 18))  # UR's RTDE guide: bits of `OUTPUTS`
 
 
 class DigitalGripperLink(GripperLink):
-    """Client that opens above 55 % of a 2F-85's stroke, closes below 45 %, and keeps its state in between.
+    """Client that opens above 55 % of the tool's stroke, closes below 45 %, and keeps its state in between.
 
     Its readings are the state of the output: nothing measures these fingers.
 
@@ -60,7 +59,7 @@ class DigitalGripperLink(GripperLink):
         name: str = "",
         system: System = LOCAL,
     ) -> None:
-        self._clock = system.clock
+        self._clock, self.tool = system.clock, tool_named(gripper.tool)
         group, first = next((group, first) for group, first, end in _GROUPS if gripper.output < end)
         self._bit = gripper.output - first
         self._mask, self._gripper = 1 << gripper.output, gripper
@@ -109,7 +108,7 @@ class DigitalGripperLink(GripperLink):
                 f"output {self._gripper.output} does not {wanted} the gripper, as commanded {CHANGE_S:g} s ago: check "
                 "what else sets it, and that no action is assigned to it on the pendant"
             )
-        return GripperReading(OPENING_M if is_open else 0.0, fault, None)
+        return GripperReading(self.tool.stroke_m if is_open else 0.0, fault, None)
 
     def _is_open(self) -> bool:
         sample = self._reader.latest
@@ -129,9 +128,10 @@ class DigitalGripperLink(GripperLink):
 
     def command(self, opening_m: float) -> bool:
         """See `GripperLink`. The output is set if its state differs from the last command."""
-        if _CLOSED_BELOW_M <= opening_m <= _OPEN_ABOVE_M:
+        ratio = opening_m / self.tool.stroke_m
+        if _CLOSED_BELOW <= ratio <= _OPEN_ABOVE:
             return False
-        wanted = opening_m > _OPEN_ABOVE_M
+        wanted = ratio > _OPEN_ABOVE
         if wanted == self._commanded:
             return False
         level = wanted == self._gripper.open_level

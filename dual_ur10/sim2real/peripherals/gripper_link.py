@@ -9,7 +9,8 @@ import math
 from abc import abstractmethod
 from typing import Final, NamedTuple
 
-from dual_ur10.assets.gripper import FORCE_N, OPENING_M
+from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85
+from dual_ur10.assets.tool import Tool
 from dual_ur10.errors import SettingsError
 from dual_ur10.sim2real.links.link_socket import LinkSocket, SocketClient, check_timeout
 from dual_ur10.sim2real.processes.system import LOCAL, System
@@ -47,7 +48,7 @@ class GripperReading(NamedTuple):
     """Reading of a gripper.
 
     Attributes:
-        opening_m: Distance of the fingers, 0 to `OPENING_M`; None if unknown.
+        opening_m: Distance of the fingers, 0 to the tool's stroke; None if unknown.
         fault: Reason why it would not obey a command, or "".
         holding: True if an object between or outside the fingers has stopped them; None if unknown.
     """
@@ -58,7 +59,13 @@ class GripperReading(NamedTuple):
 
 
 class GripperLink(Closing):
-    """Connection to one gripper. Each call takes at most `ANSWER_S`, except `activate`. Closing sends nothing."""
+    """Connection to one gripper. Each call takes at most `ANSWER_S`, except `activate`. Closing sends nothing.
+
+    Attributes:
+        tool: The gripper.
+    """
+
+    tool: Tool = ROBOTIQ_2F85
 
     @property
     @abstractmethod
@@ -79,7 +86,7 @@ class GripperLink(Closing):
         """Open or close. Return True if a command had to be sent.
 
         Args:
-            opening_m: Target distance of the fingers, 0 to `OPENING_M`.
+            opening_m: Target distance of the fingers, 0 to the tool's stroke.
 
         Raises:
             LinkError: It was lost.
@@ -106,40 +113,41 @@ class GripperLink(Closing):
         """
 
 
-def counts_of(opening_m: float) -> int:
+def counts_of(opening_m: float, stroke_m: float) -> int:
     """Return POS, 0 open to 255 closed, of an opening in m."""
-    return min(max(round(COUNTS * (1.0 - opening_m / OPENING_M)), 0), COUNTS)
+    return min(max(round(COUNTS * (1.0 - opening_m / stroke_m)), 0), COUNTS)
 
 
-def opening_of(counts: int) -> float:
+def opening_of(counts: int, stroke_m: float) -> float:
     """Return the opening of POS, m."""
-    return OPENING_M * (1.0 - counts / COUNTS)
+    return stroke_m * (1.0 - counts / COUNTS)
 
 
-def force_counts(force_n: float) -> int:
+def force_counts(force_n: float, tool: Tool) -> int:
     """Return FOR, 0 to 255, of a grip force in N.
 
     Raises:
-        SettingsError: A 2F-85 has no such force.
+        SettingsError: The tool has no such force.
     """
-    least, most = FORCE_N
+    least, most = tool.force_n
     if not (math.isfinite(force_n) and least <= force_n <= most):
         raise SettingsError(f"grip force is {force_n!r} N: must be within {least:g} to {most:g} N")
     return round(COUNTS * (force_n - least) / (most - least))
 
 
 class RobotiqLink(SocketClient, GripperLink):
-    """Robotiq 2F-85 behind the text protocol of its URCap, which answers at the arm's controller.
+    """Robotiq gripper behind the text protocol of its URCap, which answers at the arm's controller.
 
     Positions are assumed to be linear from POS 0, fully open, to POS 255, closed.
 
     Args:
         host: IPv4 address of the controller.
         port: Port number.
-        force_n: Grip force.
+        force_n: Grip force; None: the tool's least.
         timeout_s: Time limit of the connection.
         name: Name of the arm, for messages.
         system: Clock and network.
+        tool: The gripper.
 
     Raises:
         SettingsError: An argument is not legal.
@@ -150,14 +158,15 @@ class RobotiqLink(SocketClient, GripperLink):
         self,
         host: str,
         port: int,
-        force_n: float = FORCE_N[0],
+        force_n: float | None = None,
         timeout_s: float = 2.0,
         *,
         name: str = "",
         system: System = LOCAL,
+        tool: Tool = ROBOTIQ_2F85,
     ) -> None:
-        self._clock = system.clock
-        self._force = force_counts(force_n)
+        self._clock, self.tool = system.clock, tool
+        self._force = force_counts(tool.force_n[0] if force_n is None else force_n, tool)
         deadline_s = self._clock.now_s() + check_timeout(timeout_s)
         self._socket = LinkSocket(name, "Robotiq gripper", host, port, deadline_s, system=system)
         self._rest = b""
@@ -169,7 +178,7 @@ class RobotiqLink(SocketClient, GripperLink):
         """See `GripperLink`. It asks for POS, STA, FLT and OBJ."""
         deadline_s = self._clock.now_s() + ANSWER_S
         position, state, fault, stopped = (self._get(name, deadline_s) for name in ("POS", "STA", "FLT", "OBJ"))
-        opening_m = None if position is None else opening_of(position)
+        opening_m = None if position is None else opening_of(position, self.tool.stroke_m)
         if position is None or state is None or fault is None or stopped is None:
             text = "the controller does not reach its gripper: check the tool's power and the gripper's cable"
             return GripperReading(opening_m, text, None)
@@ -183,7 +192,7 @@ class RobotiqLink(SocketClient, GripperLink):
 
     def command(self, opening_m: float) -> bool:
         """See `GripperLink`. A command is sent with full speed, if POS differs from the last one."""
-        counts = counts_of(opening_m)
+        counts = counts_of(opening_m, self.tool.stroke_m)
         if counts == self._commanded:
             return False
         self._set(f"POS {counts} SPE {COUNTS} FOR {self._force} GTO 1", self._clock.now_s() + ANSWER_S)

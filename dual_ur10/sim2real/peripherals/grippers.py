@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Final, TypeVar
 
-from dual_ur10.assets.gripper import OPENING_M
+from dual_ur10.assets.tool import tool_named
 from dual_ur10.errors import ActionError, ClosedError, DualUR10Error, LinkError, OperationRefusedError
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell_file import CellFile
@@ -71,7 +71,7 @@ class GripperThread:
 
     @property
     def opening_m(self) -> float | None:
-        """Newest opening, 0 to `OPENING_M`; None if unknown."""
+        """Newest opening, 0 to the tool's stroke; None if unknown."""
         return self._reading.opening_m
 
     @property
@@ -90,16 +90,17 @@ class GripperThread:
         """Open or close at a time. This drops commands for that time or later; of several due, the last is sent.
 
         Args:
-            opening_m: Target distance of the fingers, 0 to `OPENING_M`.
+            opening_m: Target distance of the fingers, 0 to the tool's stroke.
             at_s: Time on the system's clock; a time in the past means at once.
 
         Raises:
             ActionError: The opening is out of range, or the time not finite.
             ClosedError: It was closed.
         """
-        if not (-_SLACK_M <= opening_m <= OPENING_M + _SLACK_M and math.isfinite(at_s)):
+        stroke_m = self._link.tool.stroke_m
+        if not (-_SLACK_M <= opening_m <= stroke_m + _SLACK_M and math.isfinite(at_s)):
             raise ActionError(
-                f"the {self.name} gripper is to open to {opening_m!r} m at {at_s!r} s: allowed are 0 to {OPENING_M} m, "
+                f"the {self.name} gripper is to open to {opening_m!r} m at {at_s!r} s: allowed are 0 to {stroke_m} m, "
                 "at a finite time"
             )
         if self._closed:
@@ -220,7 +221,7 @@ class Grippers(Closing):
 
     Args:
         cell_file: Cell file.
-        force_n: Grip force, 20 to 235 N; a gripper at a digital output has its own.
+        force_n: Grip force, within that of both tools; a gripper at a digital output has its own.
         permitted: See `GripperThread`. After a stop, no command is permitted.
         system: Clock, network and threads.
 
@@ -343,7 +344,8 @@ def link_to(arm: ArmEntry, force_n: float, name: str = "", system: System = LOCA
         LinkError: The gripper cannot be reached.
     """
     if isinstance(arm.gripper, RobotiqSocket):
-        return RobotiqLink(arm.host, arm.gripper.port, force_n, name=name, system=system)
+        tool = tool_named(arm.gripper.tool)
+        return RobotiqLink(arm.host, arm.gripper.port, force_n, name=name, system=system, tool=tool)
     if isinstance(arm.gripper, DigitalGripper):
         return DigitalGripperLink(arm.host, arm.gripper, name=name, system=system)
     return None

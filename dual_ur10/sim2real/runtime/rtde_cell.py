@@ -23,7 +23,7 @@ from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.commissioning.operator_prompts import Confirm, prompt_for
 from dual_ur10.sim2real.config.cell import CellConfig, CellRequest, CellState, CellStep, Start
 from dual_ur10.sim2real.config.cell_file import CellFile
-from dual_ur10.sim2real.control.adapter import GRIPPER_WIDTH_M, Command
+from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.command_queue import MAX_LATENCY_TICKS
 from dual_ur10.sim2real.control.limits import MotionLimits
@@ -452,7 +452,12 @@ class RtdeCell:
             if fault:
                 raise LinkError(f"a gripper does not follow its command: {fault}")
             # One without a measurement counts as open.
-            widths = np.array([GRIPPER_WIDTH_M if each is None else each for each in self._grippers.opening_m])
+            widths = np.array(
+                [
+                    tool.stroke_m if each is None else each
+                    for tool, each in zip(self.config.equipment.tools, self._grippers.opening_m, strict=True)
+                ]
+            )
             wrench = np.array([_wrench_at_flange(each) for each in statuses])
         time_s = self._elapsed * self._tick_s
         state = self._mirror.follow(time_s, q, qd / slow, gripper_m=widths, wrench=wrench)

@@ -15,7 +15,7 @@ from gymnasium.wrappers import FrameStackObservation, RecordVideo, RescaleAction
 
 import dual_ur10
 from dual_ur10 import errors, policies
-from dual_ur10.assets.gripper import TCP_M
+from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 from dual_ur10.envs import dm_env, parallel_env
 from dual_ur10.envs.core.setup import load_task
 from dual_ur10.kinematics import flange_pose
@@ -554,7 +554,7 @@ def test_other_action_modes(mode):
     assert -0.06 < moved[1, 2] < -0.03
 
 
-@pytest.mark.parametrize(("env_id", "tcp_m"), [(SINE, 0.0), ("DualUR10/Handover-v0", TCP_M)])
+@pytest.mark.parametrize(("env_id", "tcp_m"), [(SINE, 0.0), ("DualUR10/Handover-v0", TOOL.tcp_m)])
 def test_tcp_delta_rotates_about_the_tool_centre_point_of_the_task(env_id, tcp_m):
     env = gym.make(env_id, action_mode="tcp_delta")
     _, info = env.reset(seed=0)

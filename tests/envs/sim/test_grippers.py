@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dual_ur10.assets.gripper import OPENING_M, SPEED_M_S
+from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 from dual_ur10.assets.settings import Equipment
 from dual_ur10.envs.sim.handling import LATENCY_S, GripperServos
 from dual_ur10.envs.sim.mujoco_cell import MujocoCell
@@ -18,7 +18,7 @@ TICKS = 5
 def cell(n=1, **equipment):
     config = CellConfig(equipment=Equipment(grippers=True, **equipment))
     made = MujocoCell(config, TICKS, n=n)
-    made.reset(Start(home(n), np.full((n, 2), OPENING_M)))
+    made.reset(Start(home(n), np.full((n, 2), TOOL.stroke_m)))
     return made
 
 
@@ -29,15 +29,15 @@ def command(left, right, n=1, **more):
 
 def test_the_fingers_move_at_their_speed_after_the_latency():
     made = cell()
-    opening = np.array([made.advance(command(0.0, OPENING_M)).state.gripper_m[0].copy() for _ in range(30)])
+    opening = np.array([made.advance(command(0.0, TOOL.stroke_m)).state.gripper_m[0].copy() for _ in range(30)])
     time = 0.04 * np.arange(1, 31)
-    assert np.abs(opening[:, 1] - OPENING_M).max() < 1e-5
-    assert np.abs(opening[time <= LATENCY_S - 0.008, 0] - OPENING_M).max() < 1e-5
+    assert np.abs(opening[:, 1] - TOOL.stroke_m).max() < 1e-5
+    assert np.abs(opening[time <= LATENCY_S - 0.008, 0] - TOOL.stroke_m).max() < 1e-5
     moving = (opening[:, 0] < 0.07) & (opening[:, 0] > 0.02)
-    assert np.allclose(np.diff(opening[moving, 0]) / 0.04, -SPEED_M_S, rtol=0.02)
+    assert np.allclose(np.diff(opening[moving, 0]) / 0.04, -TOOL.speed_m_s[1], rtol=0.02)
     assert opening[-1, 0] < 1e-4
     arrival = time[np.argmax(opening[:, 0] < 0.001)]
-    assert arrival == pytest.approx(LATENCY_S + OPENING_M / SPEED_M_S, abs=0.06)
+    assert arrival == pytest.approx(LATENCY_S + TOOL.stroke_m / TOOL.speed_m_s[1], abs=0.06)
 
 
 def test_the_reference_waits_for_blocked_fingers():
@@ -47,17 +47,17 @@ def test_the_reference_waits_for_blocked_fingers():
         reference = servos(np.zeros((1, TICKS, 2)), held)
     assert reference.shape == (1, TICKS * 4, 2)
     # Within a period it advances by at most its speed.
-    assert np.all(reference >= 0.04 - 0.005 - SPEED_M_S * 0.04 - 1e-12)
+    assert np.all(reference >= 0.04 - 0.005 - TOOL.speed_m_s[1] * 0.04 - 1e-12)
     for _ in range(3):
-        servos(np.full((1, TICKS, 2), OPENING_M), held)
-    reference = servos(np.full((1, TICKS, 2), OPENING_M), held)
+        servos(np.full((1, TICKS, 2), TOOL.stroke_m), held)
+    reference = servos(np.full((1, TICKS, 2), TOOL.stroke_m), held)
     assert reference[0, -1, 0] > 0.04  # it opens at once
 
 
 def test_an_opening_beyond_the_stroke_is_refused():
     made = cell(n=2)
     for value in (-0.001, 0.09, np.nan):
-        wrong = command(OPENING_M, OPENING_M, n=2)
+        wrong = command(TOOL.stroke_m, TOOL.stroke_m, n=2)
         wrong.gripper_m[1, 3, 1] = value
         with pytest.raises(ActionError, match=r"right.*cell 1.*0.085"):
             made.advance(wrong)
@@ -71,8 +71,8 @@ def test_a_declared_payload_is_compensated():
     """The controllers compensate the declared payload: without it, the arms rise."""
     made, loaded = cell(), cell()
     for _ in range(40):
-        plain = made.advance(command(OPENING_M, OPENING_M)).state
-        lifted = loaded.advance(command(OPENING_M, OPENING_M, payload_kg=np.array([[2.0, 0.0]]))).state
+        plain = made.advance(command(TOOL.stroke_m, TOOL.stroke_m)).state
+        lifted = loaded.advance(command(TOOL.stroke_m, TOOL.stroke_m, payload_kg=np.array([[2.0, 0.0]]))).state
     up = lifted.flange_m[0, :, 2] - plain.flange_m[0, :, 2]
     # 20 N on a stiff arm whose shoulder alone yields by lever² / stiffness.
     assert 2e-4 < up[0] < 3e-3

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dual_ur10 import policies
-from dual_ur10.assets.gripper import TCP_M
+from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 from dual_ur10.envs.core.core import Core
 from dual_ur10.envs.tasks.handover.settings import APPROACH_M, GRIPS, MEETING_M, laid_quat, presented_quat
 from dual_ur10.envs.tasks.holding import flanges_of
@@ -59,7 +59,7 @@ def test_goals_at_the_start_are_above_the_grip_and_at_home():
     core, observation = begun(range(8), giver="random")
     fields, state = own_fields(core, observation), core._state
     rows, giver = np.arange(8), core.task._giver
-    tool = state.flange_m + quat_to_matrix(state.flange_quat)[..., 2] * TCP_M
+    tool = state.flange_m + quat_to_matrix(state.flange_quat)[..., 2] * TOOL.tcp_m
     frames = Frames((core.task.cell.left, core.task.cell.right))
     assert np.allclose(frames.position_to_cell(fields["flange_base_m"]), state.flange_m, atol=1e-6)
     assert np.abs(fields["goal_step_m"][rows, 1 - giver]).max() < 2e-3
@@ -122,7 +122,7 @@ def goals_of(core, observation, block, holders, widths):
         arms[f"{name}_base_quat"][...] = frames.quat_to_base(np.stack([pose.quat] * 2))
     layout = core.task.agent_layout_for(core.task.settings)
     own = {name: core.task.observe_agents(both)[0][:, layout.indices([name])] for name in layout.names}
-    tools = compose(at_home, Poses(np.array([0.0, 0.0, TCP_M]), np.array([1.0, 0.0, 0.0, 0.0])))
+    tools = compose(at_home, Poses(np.array([0.0, 0.0, TOOL.tcp_m]), np.array([1.0, 0.0, 0.0, 0.0])))
     half = own["goal_rotation"] / 2
     turn = np.concatenate([np.sqrt(1.0 - (half**2).sum(axis=1, keepdims=True)), half], axis=1)
     goals = Poses(tools.position_m + own["goal_step_m"], quat_multiply(turn, tools.quat))

@@ -3,7 +3,7 @@
 import numpy as np
 
 from dual_ur10 import ArmMount
-from dual_ur10.assets.gripper import TCP_M
+from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 from dual_ur10.envs.tasks.holding import Grasps
 from dual_ur10.kinematics.frames import Frames
 from dual_ur10.kinematics.poses import Poses, compose, relative_to
@@ -22,7 +22,7 @@ def measured(grip_m, rng, near=False):
     flange_m = rng.normal(size=(N, 2, 3))
     if near:  # each tool within a few centimetres of its grip
         grips = compose(Poses(poses[:, :1, :3], poses[:, :1, 3:]), Poses(grip_m, np.eye(4)[[0]])).position_m
-        back = np.array([0.0, 0.0, TCP_M]) + rng.uniform(-0.07, 0.07, (N, 2, 3))
+        back = np.array([0.0, 0.0, TOOL.tcp_m]) + rng.uniform(-0.07, 0.07, (N, 2, 3))
         flange_m = grips - (quat_to_matrix(quat) @ back[..., None])[..., 0]
     width_m = WIDTH_M + rng.choice([-0.01, 0.0], (N, 2))
     zeros = np.zeros((N, 2, 6))
@@ -39,7 +39,7 @@ def test_poses_follow_from_compositions():
     flange = Poses(state.flange_m, state.flange_quat)
     other = relative_to(flange, Poses(flange.position_m[:, ::-1], flange.quat[:, ::-1]))
     assert np.allclose(found.other_flange, np.concatenate(other, axis=2), atol=1e-13)
-    tool = compose(flange, Poses(np.array([0.0, 0.0, TCP_M]), np.eye(4)[0]))
+    tool = compose(flange, Poses(np.array([0.0, 0.0, TOOL.tcp_m]), np.eye(4)[0]))
     grip = compose(Poses(poses[:, :1, :3], poses[:, :1, 3:]), Poses(grip_m, np.eye(4)[0]))
     assert np.allclose(found.grip_in_tool_m, relative_to(tool, grip).position_m, atol=1e-13)
     assert np.allclose(found.rotations, quat_to_matrix(poses[:, :2, 3:]), atol=1e-13)

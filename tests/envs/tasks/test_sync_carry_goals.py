@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dual_ur10 import policies
-from dual_ur10.assets.gripper import TCP_M
+from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 from dual_ur10.envs.core.core import Core
 from dual_ur10.envs.tasks.holding import APPROACH_M, flanges_of
 from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings
@@ -171,7 +171,7 @@ def test_the_saturated_step_and_lag_are_those_of_the_commanded_tool():
     lag = fields["lag_saturated"]
     lag_m = 0.01 * lag / (1.0 - np.linalg.norm(lag, axis=1, keepdims=True))
     assert np.abs(lag_m).max() > 1e-3
-    measured = state.flange_m[0] + quat_to_matrix(state.flange_quat[0])[..., 2] * TCP_M
+    measured = state.flange_m[0] + quat_to_matrix(state.flange_quat[0])[..., 2] * TOOL.tcp_m
     goal = measured + lag_m + step  # of a tool beside the bar: above its grip
     assert (goal[:, 2] > 0.02).all()
     assert goal[:, 1] == pytest.approx([0.5, -0.5], abs=0.03)

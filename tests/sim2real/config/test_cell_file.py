@@ -18,7 +18,7 @@ from pydantic import ValidationError
 
 from dual_ur10 import ENV_IDS
 from dual_ur10.assets.obstacles import Box, Capsule, Plane
-from dual_ur10.assets.settings import SceneSettings
+from dual_ur10.assets.settings import Equipment, SceneSettings
 from dual_ur10.envs.api.dual_arm_env import DualArmEnv
 from dual_ur10.errors import CellFileError, DualUR10Error, SettingsError
 from dual_ur10.kinematics import ur10
@@ -107,6 +107,21 @@ def refused(tmp_path: Path, content: dict[str, Any] | str | bytes) -> str:
 
 
 # Content of a file.
+
+
+def test_each_arm_has_the_tool_that_the_file_names() -> None:
+    generic = {"kind": "digital_output", "output": 0, "tool": "generic_140"}
+    for left, right, names in (
+        ({"kind": "robotiq"}, generic, ["robotiq_2f85", "generic_140"]),
+        ({"kind": "none"}, generic, ["generic_140"] * 2),
+        ({"kind": "none"}, {"kind": "none"}, ["robotiq_2f85"] * 2),
+    ):
+        config = cell_of(GOOD, left__gripper=left, right__gripper=right).config()
+        for scene in (config.scene, config.measured_scene):
+            assert [tool.name for tool in scene.equipment.tools] == names
+        assert config.measured_scene.equipment.grippers == (right["kind"] != "none")
+        equipment = config.equipped(Equipment(grippers=True, prop="block"), 0.002, "stiff").equipment
+        assert [tool.name for tool in equipment.tools] == names
 
 
 def test_every_key_is_read() -> None:
@@ -275,7 +290,7 @@ def arm_tables(draw: st.DrawFn, real: bool, side: float, host: str) -> dict[str,
     if "payload_kg" in values:
         values["payload_kg"] = min(values["payload_kg"], ROBOTS[values["model"]].payload_kg)
     if draw(st.booleans()):
-        values["gripper"] = draw(variant_of("ARM.gripper.", real))
+        values["gripper"] = draw(variant_of("ARM.gripper.", real, tool=st.just("robotiq_2f85")))
     for name in ("limits", "measured"):
         if draw(st.booleans()):
             values[name] = draw(table_of(f"ARM.{name}.", real))
@@ -438,6 +453,11 @@ REFUSED: list[tuple[dict[str, Any], tuple[str, ...]]] = [
     ({"obstacle": [{**PLANE, "include": "x"}]}, ("obstacle[0].include is no key",)),
     ({"left__gripper": {"kind": "robot"}}, ('left.gripper.kind is "robot"', '"robotiq"')),
     ({"left__gripper": {"kind": "digital_output"}}, ("left.gripper.output is missing", "output = 0")),
+    (
+        {"left__gripper": {"kind": "robotiq", "tool": "generic_140"}},
+        ("left.gripper.kind is 'robotiq'", "cannot drive the tool 'generic_140'", "use 'digital_output'"),
+    ),
+    ({"left__gripper": {"kind": "robotiq", "tool": "generic"}}, ("left.gripper.tool", "did you mean 'generic_140'")),
     ({"left__gripper": {"kind": ["none"]}}, ("left.gripper.kind is",)),
     ({"obstacle": [{"name": "b"}]}, ("obstacle[0].kind is missing", '"box" or "capsule" or "plane"')),
     ({"obstacle": [{"name": "b", "kind": "box", "size_m": [1, 1, 1]}]}, ("obstacle[0].position_m is missing",)),
@@ -827,6 +847,7 @@ def test_units_are_in_the_names() -> None:
         "allow_reduced_mode",
         "output",
         "open_level",
+        "tool",
         "gain",
         "checksum",
         "safety_checksum",

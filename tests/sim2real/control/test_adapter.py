@@ -15,7 +15,6 @@ from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD, NOMINAL_DH, nominal_dh
 from dual_ur10.sim2real.control.adapter import (
     _NOW,
-    GRIPPER_WIDTH_M,
     JOINT_MARGIN_RAD,
     TCP_ROTATION_RAD_S,
     TCP_STEP_M_S,
@@ -470,11 +469,11 @@ def test_tcp_delta_out_of_reach_stops_that_arm_only() -> None:
 
 
 def test_the_gripper_opens_with_the_seventh_number() -> None:
-    adapter = at_home(n=2, gripper=True)
+    adapter = at_home(n=2, gripper=True, stroke_m=(0.085, 0.14))
     action = np.zeros((2, 2, 7))
     action[..., 6] = [[-1.0, 1.0], [0.0, 9.0]]
     opening = adapter(action).gripper_m
-    wanted = np.array([[0.0, GRIPPER_WIDTH_M], [GRIPPER_WIDTH_M / 2, GRIPPER_WIDTH_M]])
+    wanted = np.array([[0.0, 0.14], [0.085 / 2, 0.14]])
     assert opening is not None
     assert opening.shape == (2, adapter.ticks, 2)
     np.testing.assert_allclose(opening - wanted[:, None], 0.0, atol=1e-15)

@@ -9,8 +9,8 @@ from scipy.optimize import lsq_linear
 
 from dual_ur10.assets.cell_spec import joint_names
 from dual_ur10.assets.collision_model import CLEARANCE_CUTOFF_M, CLEARANCE_PAIRS, build_collision_model, clearance_pairs
-from dual_ur10.assets.gripper import FINGERTIP_M, OPENING_M
 from dual_ur10.assets.props import BAR
+from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 from dual_ur10.assets.scene import build_model
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.kinematics.frames import ArmMount
@@ -53,7 +53,7 @@ def test_every_possible_contact_is_measured(apart_m):
     seen = set()
     data = mujoco.MjData(model)
     for q in random_q(np.random.default_rng(2), 2000):
-        data.qpos[:] = with_fingers(q, OPENING_M)
+        data.qpos[:] = with_fingers(q, TOOL.stroke_m)
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_collision(model, data)
@@ -81,7 +81,7 @@ def test_contacts_of_the_cell_overlap_in_the_collision_model(collision):
     compared = 0
     for _ in range(1500):
         q = FACING + rng.uniform(-0.6, 0.6, (2, 6))
-        data.qpos[:] = with_fingers(q, rng.uniform(0, OPENING_M))
+        data.qpos[:] = with_fingers(q, rng.uniform(0, TOOL.stroke_m))
         distances.qpos[:] = q.ravel()
         mujoco.mj_forward(model, data)
         mujoco.mj_forward(collision, distances)
@@ -100,7 +100,7 @@ def test_the_box_of_the_fingers_contains_them_at_any_width(collision):
     mujoco.mj_kinematics(collision, distances)
     box = collision.geom("left/fingers").id
     corners = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1]), axis=-1).reshape(-1, 3)
-    for opening in (0.0, OPENING_M):
+    for opening in (0.0, TOOL.stroke_m):
         data.qpos[:] = with_fingers(HOME_Q_RAD, opening)
         mujoco.mj_kinematics(model, data)
         found = []
@@ -115,7 +115,7 @@ def test_the_box_of_the_fingers_contains_them_at_any_width(collision):
                 found.append(np.abs(inside).max(axis=0))
                 assert (found[-1] <= collision.geom_size[box] + 0.0003).all(), opening
         assert (collision.geom_size[box] - np.max(found, axis=0))[2] < 1e-6  # and no longer than they are
-    tip = distances.site("left/flange").xpos[2] - FINGERTIP_M
+    tip = distances.site("left/flange").xpos[2] - TOOL.fingertip_m
     assert distances.geom_xpos[box][2] - collision.geom_size[box, 2] == pytest.approx(tip)
 
 
@@ -231,7 +231,7 @@ def test_the_collision_model_has_the_inertia_of_the_cell(settings):
     arms = np.r_[0:6, 8:14]
     rng = np.random.default_rng(4)
     for q in random_q(rng, 20):
-        data.qpos[:], rigid.qpos[:] = with_fingers(q, OPENING_M / 2), q.ravel()
+        data.qpos[:], rigid.qpos[:] = with_fingers(q, TOOL.stroke_m / 2), q.ravel()
         data.qvel[arms] = rigid.qvel[:] = rng.normal(size=12)
         mujoco.mj_forward(model, data)
         mujoco.mj_forward(collision, rigid)

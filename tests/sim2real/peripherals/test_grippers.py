@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dual_ur10.assets.gripper import FORCE_N, OPENING_M
+from dual_ur10.assets.generic_140 import GENERIC_140
+from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 from dual_ur10.errors import ActionError, ClosedError, LinkError, OperationRefusedError, SettingsError
 from dual_ur10.sim2real.config.cell_file_tables import DigitalGripper, NoGripper
 from dual_ur10.sim2real.links.rtde_link import RtdeClient
@@ -41,8 +42,8 @@ def never(question):
 def grippers(cell, file, until, system):
     with Grippers(file, system=system, force_n=100.0) as grippers:
         grippers.activate(yes)
-        grippers.command((OPENING_M, OPENING_M), 0.0)
-        until(lambda: min(grippers.opening_m) > 0.98 * OPENING_M)
+        grippers.command((TOOL.stroke_m, TOOL.stroke_m), 0.0)
+        until(lambda: min(grippers.opening_m) > 0.98 * TOOL.stroke_m)
         yield grippers
 
 
@@ -64,23 +65,23 @@ def register(link, name):
 
 @given(st.integers(0, 255))
 def test_counts_and_openings_belong_together(counts):
-    assert counts_of(opening_of(counts)) == counts
-    assert 0.0 <= opening_of(counts) <= OPENING_M
+    assert counts_of(opening_of(counts, TOOL.stroke_m), TOOL.stroke_m) == counts
+    assert 0.0 <= opening_of(counts, TOOL.stroke_m) <= TOOL.stroke_m
 
 
 @given(st.floats(-0.01, 0.1))
 def test_an_opening_is_met_within_half_a_step(opening_m):
-    met = min(max(opening_m, 0.0), OPENING_M)
-    assert abs(opening_of(counts_of(opening_m)) - met) <= OPENING_M / 510 + 1e-12
+    met = min(max(opening_m, 0.0), TOOL.stroke_m)
+    assert abs(opening_of(counts_of(opening_m, TOOL.stroke_m), TOOL.stroke_m) - met) <= TOOL.stroke_m / 510 + 1e-12
 
 
 def test_forces():
-    assert force_counts(FORCE_N[0]) == 0
-    assert force_counts(FORCE_N[1]) == 255
-    assert force_counts(127.5) == 128
+    assert force_counts(TOOL.force_n[0], TOOL) == 0
+    assert force_counts(TOOL.force_n[1], TOOL) == 255
+    assert force_counts(127.5, TOOL) == 128
     for force in (19.9, 235.1, float("nan")):
         with pytest.raises(SettingsError, match="20 to 235 N"):
-            force_counts(force)
+            force_counts(force, TOOL)
 
 
 # On the emulated cell.
@@ -118,9 +119,9 @@ def test_a_command_is_sent_when_it_is_due(grippers, until, clock, system, cell):
         while clock.now_s() < begin + 0.3:
             assert register(other, "PRE") == 0
             clock.sleep(0.01)
-        until(lambda: register(other, "PRE") == counts_of(0.03))
+        until(lambda: register(other, "PRE") == counts_of(0.03, TOOL.stroke_m))
         assert clock.now_s() >= begin + 0.4
-        assert register(other, "FOR") == force_counts(100.0)
+        assert register(other, "FOR") == force_counts(100.0, TOOL)
     until(lambda: grippers.opening_m == pytest.approx((0.03, 0.02), abs=0.002))
     assert grippers.fault == ""
     assert all(each._read_s > begin for each in grippers.each)
@@ -129,13 +130,13 @@ def test_a_command_is_sent_when_it_is_due(grippers, until, clock, system, cell):
 def test_a_held_object_stays_held(cell, file, until, system):
     with Grippers(file, system=system) as grippers:
         grippers.activate(yes)
-        grippers.command((0.02, OPENING_M), 0.0)
+        grippers.command((0.02, TOOL.stroke_m), 0.0)
         until(lambda: abs(grippers.opening_m[0] - 0.02) < 0.001)
     with Grippers(file, system=system) as grippers:
         assert grippers.opening_m[0] == pytest.approx(0.02, abs=0.001)
         grippers.activate(never)
         assert grippers.fault == ""
-        grippers.command((OPENING_M, OPENING_M), 0.0)
+        grippers.command((TOOL.stroke_m, TOOL.stroke_m), 0.0)
 
 
 def test_a_gripper_without_power_needs_activation(grippers, cell, until):
@@ -224,7 +225,7 @@ def test_an_ack_with_or_without_an_end(ack):
     with robotiq_link(answers) as link:
         for opening_m in (0.02, 0.03, 0.04):
             assert link.command(opening_m)
-            assert link.read() == GripperReading(pytest.approx(0.8 * OPENING_M), "", True)
+            assert link.read() == GripperReading(pytest.approx(0.8 * TOOL.stroke_m), "", True)
 
 
 @pytest.mark.parametrize(
@@ -279,7 +280,7 @@ def test_a_command_is_sent_once_and_again_after_an_activation():
     heard = []
     answers = {"SET": "ack", "STA": "STA 3\n", "STA0": "STA 0\n", "STA1": "STA 3\n"}
     with robotiq_link(answers, heard) as link:
-        step_m = OPENING_M / 255
+        step_m = TOOL.stroke_m / 255
         commands = (0.0, 0.4 * step_m, step_m, step_m, 0.0)
         assert [link.command(opening_m) for opening_m in commands] == [True, False, True, False, True]
         link.activate(5.0)
@@ -325,7 +326,7 @@ def test_nothing_else_is_sent():
 class Link:
     """Link that records commands, and fails on demand."""
 
-    where = "a gripper"
+    where, tool = "a gripper", TOOL
 
     def __init__(self, system):
         self.clock = system.clock
@@ -497,25 +498,28 @@ def test_a_digital_output(cell, output, open_level, until, clock, system):
         assert level() == before  # nothing is sent by itself
         assert not link.needs_activation()
         assert f"gripper at output {output}" in link.where
-        for opening_m, opens in ((OPENING_M, True), (0.0, False), (0.06, True)):
+        for opening_m, opens in ((TOOL.stroke_m, True), (0.0, False), (0.06, True)):
             link.command(opening_m)
             until(lambda opens=opens: level() == (opens == open_level))
-            until(lambda opens=opens: link.read() == GripperReading(OPENING_M if opens else 0.0, "", None))
+            until(lambda opens=opens: link.read() == GripperReading(TOOL.stroke_m if opens else 0.0, "", None))
             assert not link.command(opening_m)  # no change
             link.forget()
             assert link.command(opening_m)
-            assert not link.command(0.5 * OPENING_M)  # hysteresis
+            assert not link.command(0.5 * TOOL.stroke_m)  # hysteresis
         kept = level()
     clock.sleep(0.1)
     assert level() == kept  # closing sends nothing
     assert cell.ask("state", arm="left", names=[OUTPUTS])[OUTPUTS] & ~(1 << output) == others
 
 
-def test_a_digital_gripper_of_the_cell_file(cell, file, until, system):
-    left = file.left.replace(gripper=DigitalGripper(output=3, open_level=True))
+@pytest.mark.parametrize("tool", [TOOL, GENERIC_140], ids=lambda each: each.name)
+def test_a_digital_gripper_of_the_cell_file(cell, file, until, system, tool):
+    left = file.left.replace(gripper=DigitalGripper(output=3, open_level=True, tool=tool.name))
     with Grippers(file.replace(left=left), system=system) as grippers:
-        grippers.command((OPENING_M, None), 0.0)
-        until(lambda: grippers.opening_m[0] == OPENING_M)
+        with pytest.raises(ActionError, match=f"allowed are 0 to {tool.stroke_m} m"):
+            grippers.command((tool.stroke_m + 0.001, None), 0.0)
+        grippers.command((tool.stroke_m, None), 0.0)
+        until(lambda: grippers.opening_m[0] == tool.stroke_m)
         grippers.command((0.0, None), 0.0)
         until(lambda: grippers.opening_m[0] == 0.0)
         cell.ask("link", arm="left", port="rtde", mute=True)
@@ -553,7 +557,7 @@ def test_registers_are_left_to_others(cell, clock, system):
 def test_an_output_that_something_else_sets(cell, monkeypatch, until, system):
     monkeypatch.setattr("dual_ur10.sim2real.peripherals.digital_gripper.CHANGE_S", 0.1)
     with DigitalGripperLink(cell.left, DigitalGripper(output=2, open_level=True), system=system) as link:
-        link.command(OPENING_M)
+        link.command(TOOL.stroke_m)
         cell.ask("override", arm="left", **{OUTPUTS: 0})
         try:
             found = until(lambda: link.read().fault)

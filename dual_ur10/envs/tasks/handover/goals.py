@@ -25,11 +25,11 @@ from typing import Final
 
 import numpy as np
 
-from dual_ur10.assets.settings import home_q_rad
+from dual_ur10.assets.settings import DEFAULT_TOOLS, home_q_rad
+from dual_ur10.assets.tool import Tool, levers_m
 from dual_ur10.envs.tasks.agent_observations import AgentObservations
 from dual_ur10.envs.tasks.handover.settings import GRIPS, MEETING_M, laid_quat, presented_quat
 from dual_ur10.envs.tasks.handover.stages import LIFTED_M, MEETING_RANGE_M, WIDTH_M
-from dual_ur10.envs.tasks.holding import TCP_LEVER
 from dual_ur10.envs.tasks.observation_layout import ObservationLayout
 from dual_ur10.envs.tasks.tool_goals import approach, goal_observations, rows
 from dual_ur10.kernel import Struct
@@ -44,7 +44,7 @@ _ROOM_M: Final = 0.007  # that a learner's fingers need above the table, beside 
 _ARRIVED_M: Final = 0.02  # from the transfer: within it the receiver goes to the block itself
 
 
-def goals(mounts: tuple[ArmMount, ArmMount]) -> Struct:
+def goals(mounts: tuple[ArmMount, ArmMount], tools: tuple[Tool, Tool] = DEFAULT_TOOLS) -> Struct:
     """Return the goals' constants, for the kernel."""
     grips, presented, laid = np.zeros((2, 2, 12)), np.zeros((2, 12)), np.zeros((2, 12))
     for giver in (0, 1):
@@ -60,7 +60,7 @@ def goals(mounts: tuple[ArmMount, ArmMount]) -> Struct:
     flange_m = frames.position_to_cell(np.stack([each[0] for each in found]))
     return Struct(
         "HandoverGoals",
-        approach=approach(WIDTH_M),
+        approach=approach(WIDTH_M, tools),
         leave_m=_LEAVE_M,
         lifted_m=LIFTED_M,
         carried_m=_CARRIED_M,
@@ -70,15 +70,18 @@ def goals(mounts: tuple[ArmMount, ArmMount]) -> Struct:
         grips=grips,
         presented=presented,
         laid=laid,
-        home=rows(Poses(flange_m + rotate(quat, TCP_LEVER), quat)),
+        home=rows(Poses(flange_m + rotate(quat, levers_m(tools)), quat)),
     )
 
 
 def agent_observations(
-    layout: ObservationLayout, own: ObservationLayout, mounts: tuple[ArmMount, ArmMount]
+    layout: ObservationLayout,
+    own: ObservationLayout,
+    mounts: tuple[ArmMount, ArmMount],
+    tools: tuple[Tool, Tool] = DEFAULT_TOOLS,
 ) -> AgentObservations:
     """Return the function that adds the goals' fields to what each arm observes; see `goal_observations`."""
     fields = {"block": "block_base_m", "target": "target_base_m", "role": "role"}
     return goal_observations(
-        "HandoverAgents", "handover_agents", layout, own, mounts, WIDTH_M, fields, goals=goals(mounts)
+        "HandoverAgents", "handover_agents", layout, own, mounts, WIDTH_M, fields, tools, goals=goals(mounts, tools)
     )

@@ -12,6 +12,7 @@ import numpy as np
 
 from dual_ur10.assets.props import BLOCK_GRIP_M, BLOCK_GRIP_QUAT, BLOCK_SIZE_M
 from dual_ur10.assets.settings import SceneSettings, home_q_rad
+from dual_ur10.assets.tool import levers_m
 from dual_ur10.envs.tasks.holding import APPROACH_M, flanges_of
 from dual_ur10.envs.tasks.task import check_numbers
 from dual_ur10.errors import UnknownNameError, WorkspaceError
@@ -161,7 +162,7 @@ def _unreached(scene: SceneSettings, giver: int, arm: int, blocks: Poses) -> lis
     missed: set[int] = set()
     for back in (APPROACH_M, 0.0):
         offset = compose(Poses(grip.position_m[arm], grip.quat[arm]), Poses(np.array([0.0, 0.0, -back]), np.eye(4)[0]))
-        flange = flanges_of(compose(blocks, offset))
+        flange = flanges_of(compose(blocks, offset), levers_m(scene.equipment.tools)[arm])
         both = [np.repeat(part[:, None], 2, axis=1) for part in flange]
         position, quat = frames.position_to_base(both[0])[:, arm], frames.quat_to_base(both[1])[:, arm]
         near = np.broadcast_to(home_q_rad(scene.mounts)[arm], (len(position), 6))

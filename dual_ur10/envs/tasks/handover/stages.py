@@ -7,6 +7,8 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.assets.props import BLOCK_SIZE_M
+from dual_ur10.assets.settings import DEFAULT_TOOLS
+from dual_ur10.assets.tool import Tool
 from dual_ur10.envs.tasks.tool_goals import approach
 from dual_ur10.kernel import RowLoop, Struct
 from dual_ur10.types import Array
@@ -47,7 +49,7 @@ class Stages:
             progress.
     """
 
-    def __init__(self, n: int) -> None:
+    def __init__(self, n: int, tools: tuple[Tool, Tool] = DEFAULT_TOOLS) -> None:
         self.facts: Array = np.zeros((n, 13))
         self.conditions: Array = np.zeros((n, len(STAGES)))
         self.passed = np.zeros(n, dtype=np.int64)
@@ -57,7 +59,7 @@ class Stages:
             n=n,
             lifted_m=LIFTED_M,
             meeting_m=MEETING_RANGE_M,
-            approach=approach(WIDTH_M),
+            approach=approach(WIDTH_M, tools),
             facts=self.facts,
             conditions=self.conditions,
             stage=self.passed,

@@ -8,9 +8,9 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from dual_ur10.assets.gripper import OPENING_M, TCP_M
 from dual_ur10.assets.props import BLOCK, BLOCK_SIZE_M, TARGET
-from dual_ur10.assets.settings import Equipment, home_q_rad
+from dual_ur10.assets.settings import DEFAULT_TOOLS, Equipment, home_q_rad
+from dual_ur10.assets.tool import Tool, strokes_m
 from dual_ur10.envs.tasks.agent_observations import AgentObservations
 from dual_ur10.envs.tasks.handover.goals import agent_observations, goals
 from dual_ur10.envs.tasks.handover.settings import GRIPS, HandoverSettings, check_reach, lying
@@ -42,7 +42,7 @@ SETTLED_S = 0.5
 """Time that the block must lie on its target before an episode ends with success."""
 
 _FALLEN_M = -0.03  # height of the middle of a block that is no longer on the table
-_BEYOND_M = TCP_M + BLOCK_SIZE_M[0] / 2  # from a shoulder farther than its flange: out of reach
+_BEYOND_M = BLOCK_SIZE_M[0] / 2  # from a shoulder farther than its tool: out of reach
 
 
 class HandoverMeasured(NamedTuple):
@@ -237,7 +237,7 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
 
     def __init__(self, settings: HandoverSettings, cell: CellConfig, timing: Timing, n: int) -> None:
         super().__init__(settings, cell, timing, n)
-        mounts = (cell.left, cell.right)
+        mounts, tools = (cell.left, cell.right), cell.equipment.tools
         check_reach(settings, cell.scene)
         self.duration_s = settings.duration_s * duration_ratio(type(self).limits, self.limits)
         self.horizon = self._steps = max(1, math.ceil(self.duration_s / timing.period_s - 1e-9))
@@ -248,26 +248,31 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         self._role: Array = np.ones((n, 2, 1))
         self._by_role: Rows = np.zeros((n, 2), dtype=np.intp)
         self._grip_m: Array = np.zeros((n, 2, 3))
-        self._grasps = Grasps(Frames(mounts), self._grip_m, WIDTH_M, 2)
+        self._grasps = Grasps(Frames(mounts), self._grip_m, WIDTH_M, 2, tools)
         # Of the episode so far.
-        self._stages = Stages(n)
+        self._stages = Stages(n, tools)
         self._count = np.zeros(n, dtype=np.int64)
         self._settled = np.zeros(n, dtype=np.int64)
         self._before_m: Array = np.zeros((n, 3))  # position of the block in the last step
         self._slip_m: Array = np.zeros((n, 2))
         self._input, self._output = np.zeros((n, 72)), np.zeros((n, 4))
-        self._agents = self.agents_for(settings, mounts)
+        self._agents = self.agents_for(settings, mounts, tools)
         struct = Struct(
             "Handover",
             n=n,
             still_m=STILL_M_S * timing.period_s,
             success_error_m=settings.success_error_m,
-            far_m=np.array([reach_from_joint_m(mount.robot)[1] + _BEYOND_M for mount in mounts]),
+            far_m=np.array(
+                [
+                    reach_from_joint_m(mount.robot)[1] + (tool.tcp_m + _BEYOND_M)
+                    for mount, tool in zip(mounts, tools, strict=True)
+                ]
+            ),
             fallen_m=_FALLEN_M,
             shoulders_m=np.array(
                 [mount.position_m + rotate(mount.quat, np.array([0.0, 0.0, mount.model.d_m[0]])) for mount in mounts]
             ),
-            goals=goals(mounts),
+            goals=goals(mounts, tools),
             giver=self._giver,
             input=self._input,
             before_m=self._before_m,
@@ -302,7 +307,7 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         self._slip_m[rows] = 0.0
         return Start(
             np.broadcast_to(home_q_rad((self.cell.left, self.cell.right)), (len(rows), 2, 6)).copy(),
-            np.full((len(rows), 2), OPENING_M),
+            np.tile(strokes_m(self.cell.equipment.tools), (len(rows), 1)),
             objects={"block": np.concatenate(block, axis=1), "target": np.concatenate(target, axis=1)},
             sampled={"object": where, "target": wanted, "giver": giver},
         )
@@ -336,9 +341,14 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         return cls.layout.extended(*GOAL_FIELDS)
 
     @classmethod
-    def agents_for(cls, settings: HandoverSettings, mounts: tuple[ArmMount, ArmMount]) -> AgentObservations:
+    def agents_for(
+        cls,
+        settings: HandoverSettings,
+        mounts: tuple[ArmMount, ArmMount],
+        tools: tuple[Tool, Tool] = DEFAULT_TOOLS,
+    ) -> AgentObservations:
         """Return the function that assembles the agents' observations from joint ones."""
-        return agent_observations(cls.layout, cls.agent_layout_for(settings), mounts)
+        return agent_observations(cls.layout, cls.agent_layout_for(settings), mounts, tools)
 
     def observe_agents(self, observation: Array) -> Array:
         """Return each agent's own observation, (n, 2, 79), from those of both, (n, 112)."""

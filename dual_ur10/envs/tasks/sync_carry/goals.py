@@ -9,6 +9,8 @@ The reward takes the reference now instead.
 from __future__ import annotations
 
 from dual_ur10.assets.props import BAR_WIDTH_M
+from dual_ur10.assets.settings import DEFAULT_TOOLS
+from dual_ur10.assets.tool import Tool
 from dual_ur10.envs.tasks.agent_observations import AgentObservations
 from dual_ur10.envs.tasks.holding import LEARNERS_ROOM_M
 from dual_ur10.envs.tasks.observation_layout import Field, ObservationLayout
@@ -24,17 +26,21 @@ def goal_fields(settings: CarrySettings) -> tuple[Field, ...]:
     return tuple(field for field in GOAL_FIELDS if not settings.rigid or field.name not in GRIPPER_FIELDS)
 
 
-def goals(settings: CarrySettings) -> Struct:
+def goals(settings: CarrySettings, tools: tuple[Tool, Tool] = DEFAULT_TOOLS) -> Struct:
     """Return the goals' constants, for the kernel."""
     grip = settings.grip
     position = grip.position_m.copy()
     if not settings.rigid:
         position[:, 2] += LEARNERS_ROOM_M
-    return Struct("CarryGoals", approach=approach(BAR_WIDTH_M), grips=rows(Poses(position, grip.quat)))
+    return Struct("CarryGoals", approach=approach(BAR_WIDTH_M, tools), grips=rows(Poses(position, grip.quat)))
 
 
 def agent_observations(
-    settings: CarrySettings, layout: ObservationLayout, own: ObservationLayout, mounts: tuple[ArmMount, ArmMount]
+    settings: CarrySettings,
+    layout: ObservationLayout,
+    own: ObservationLayout,
+    mounts: tuple[ArmMount, ArmMount],
+    tools: tuple[Tool, Tool] = DEFAULT_TOOLS,
 ) -> AgentObservations:
     """Return the function that adds the goals' fields to what each arm observes; see `goal_observations`."""
     return goal_observations(
@@ -45,6 +51,7 @@ def agent_observations(
         mounts,
         BAR_WIDTH_M,
         {"bar": "bar_base_m", "ahead": "ahead_base_m"},
-        goals=goals(settings),
+        tools,
+        goals=goals(settings, tools),
         grip_m=settings.grip.position_m,
     )

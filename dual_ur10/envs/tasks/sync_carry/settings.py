@@ -11,6 +11,7 @@ import numpy as np
 
 from dual_ur10.assets.props import BAR_WIDTH_M, GRIP_DISTANCE_M, GRIP_QUAT
 from dual_ur10.assets.settings import SceneSettings, home_q_rad
+from dual_ur10.assets.tool import levers_m
 from dual_ur10.envs.tasks.holding import flanges_of
 from dual_ur10.envs.tasks.sync_carry.path import MOVES, CarryPath
 from dual_ur10.envs.tasks.task import check_numbers
@@ -94,7 +95,7 @@ def path_rate(settings: CarrySettings, scene: SceneSettings, limits: MotionLimit
     start = bar_pose(np.array(starts))
     bars = path(np.broadcast_to(times, (len(starts), len(times))), start)
     tools = compose(Poses(bars.position_m[:, :, None], bars.quat[:, :, None]), settings.grip)
-    flanges = flanges_of(tools)
+    flanges = flanges_of(tools, levers_m(scene.equipment.tools))
     position, quat = frames.position_to_base(flanges.position_m), frames.quat_to_base(flanges.quat)
     rotation = quat_to_matrix(quat)
     q = np.empty((len(starts), len(times), 2, 6))

@@ -8,9 +8,9 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from dual_ur10.assets.gripper import OPENING_M
 from dual_ur10.assets.props import BAR, BAR_MASS_KG, BAR_WELDS, BAR_WIDTH_M
-from dual_ur10.assets.settings import Equipment, home_q_rad
+from dual_ur10.assets.settings import DEFAULT_TOOLS, Equipment, home_q_rad
+from dual_ur10.assets.tool import Tool, levers_m, strokes_m
 from dual_ur10.envs.tasks.agent_observations import AgentObservations
 from dual_ur10.envs.tasks.holding import APPROACH_M, PICKING, Grasped, Grasps, flanges_of, required
 from dual_ur10.envs.tasks.observation_layout import (
@@ -228,6 +228,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
 
     def __init__(self, settings: CarrySettings, cell: CellConfig, timing: Timing, n: int) -> None:
         super().__init__(settings, cell, timing, n)
+        tools = cell.equipment.tools
         self._frames = Frames((cell.left, cell.right))
         self._path = CarryPath(settings.duration_s)
         self._rate = path_rate(settings, cell.scene, self.limits)
@@ -235,7 +236,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         self._grasp_s = _GRASP_S[settings.rigid] / self._rate
         self.duration_s = self._grasp_s + settings.duration_s / self._rate + _SETTLE_S
         self.horizon = self._steps = math.ceil(self.duration_s / timing.period_s - 1e-9)
-        self._grasps = Grasps(self._frames, np.tile(self._grip.position_m, (n, 1, 1)), BAR_WIDTH_M, 3)
+        self._grasps = Grasps(self._frames, np.tile(self._grip.position_m, (n, 1, 1)), BAR_WIDTH_M, 3, tools)
         self._bar = Poses(np.zeros((n, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)))
         self._when = np.array([0.0, timing.ahead_s])
         self._count = np.zeros(n, dtype=np.int64)
@@ -254,7 +255,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
             ramp_s=_LOAD_S,
             half_kg=BAR_MASS_KG / 2,
             ideal_m=ideal_relative(self._grip).position_m,
-            goals=goals(settings),
+            goals=goals(settings, tools),
             input=self._input,
             slip_from_m=np.zeros((n, 6)),
             worst_slip_m=self._worst_slip,
@@ -263,7 +264,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
             output=self._output,
         )
         self._evaluate = RowLoop("carry_evaluate", struct, n, 1)
-        self._agents = self.agents_for(settings, (cell.left, cell.right))
+        self._agents = self.agents_for(settings, (cell.left, cell.right), tools)
 
     @classmethod
     def layout_for(cls, settings: CarrySettings) -> ObservationLayout:
@@ -292,7 +293,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         tool = compose(Poses(at.position_m[:, None], at.quat[:, None]), self._grip)
         if not settings.rigid:
             tool.position_m[..., 2] += APPROACH_M
-        flange = flanges_of(tool)
+        flange = flanges_of(tool, levers_m(self.cell.equipment.tools))
         position, quat = self._frames.position_to_base(flange.position_m), self._frames.quat_to_base(flange.quat)
         mounts = self.cell.left, self.cell.right
         home = home_q_rad(mounts)
@@ -302,7 +303,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         ]
         for values in (self._count, self._declared, self._load, self._worst_slip, self._squares, self._carried):
             values[rows] = 0
-        opening = None if settings.rigid else np.full((len(rows), 2), OPENING_M)
+        opening = None if settings.rigid else np.tile(strokes_m(self.cell.equipment.tools), (len(rows), 1))
         objects = {"bar": np.concatenate(bar, axis=1)}
         return Start(np.stack(configurations, axis=1), opening, objects, sampled={"object": where})
 
@@ -342,9 +343,11 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         return cls.layout_for(settings).extended(*goal_fields(settings))
 
     @classmethod
-    def agents_for(cls, settings: CarrySettings, mounts: tuple[ArmMount, ArmMount]) -> AgentObservations:
+    def agents_for(
+        cls, settings: CarrySettings, mounts: tuple[ArmMount, ArmMount], tools: tuple[Tool, Tool] = DEFAULT_TOOLS
+    ) -> AgentObservations:
         """Return the function that assembles the agents' observations from joint ones."""
-        return agent_observations(settings, cls.layout_for(settings), cls.agent_layout_for(settings), mounts)
+        return agent_observations(settings, cls.layout_for(settings), cls.agent_layout_for(settings), mounts, tools)
 
     def observe_agents(self, observation: Array) -> Array:
         """Return each agent's own observation, (n, 2, 85), or (n, 2, 81) with a rigid grasp, from those of both."""

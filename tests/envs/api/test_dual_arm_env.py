@@ -233,7 +233,7 @@ def test_rendering_shows_the_arms_move():
 
 
 def table_rows(task, heading):
-    section = task.__doc__.split(f"## {heading}")[1].split("\n    ## ")[0]
+    section = re.split(r"\n *## ", task.__doc__.split(f"## {heading}")[1])[0]  # Python 3.13 removes the indentation
     return [
         [cell.strip() for cell in line.strip().strip("|").split("|")]
         for line in section.splitlines()
@@ -263,7 +263,7 @@ def test_docstring_tables_match_the_spaces(name):
             assert each in names | {"-"}
     assert np.array_equal(env.observation_space.low, task.layout.low)
     assert np.array_equal(env.observation_space.high, task.layout.high)
-    arguments = re.findall(r"\n    \| `(\w+)` \|", task.__doc__)
+    arguments = re.findall(r"\n *\| `(\w+)` \|", task.__doc__)
     assert arguments == list(task.settings_type.__dataclass_fields__)
     weights = {name: float(value) for name, value in re.findall(r"- \*(\w+)\* \(([\d.]+)\)", task.__doc__)}
     assert weights == task.weights

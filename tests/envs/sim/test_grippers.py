@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from dual_ur10.assets.generic_140 import GENERIC_140
 from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 from dual_ur10.assets.settings import Equipment
 from dual_ur10.envs.sim.handling import LATENCY_S, GripperServos
@@ -41,17 +42,22 @@ def test_the_fingers_move_at_their_speed_after_the_latency():
 
 
 def test_the_reference_waits_for_blocked_fingers():
-    servos = GripperServos(1, TICKS, 0.008, 4, slack_m=0.005)
+    tools, slack_m = (TOOL, GENERIC_140), np.array([0.005, 0.003])
+    servos = GripperServos(1, TICKS, 0.008, 4, slack_m, tools)
     held = np.full((1, 2), 0.04)
     for _ in range(60):
         reference = servos(np.zeros((1, TICKS, 2)), held)
     assert reference.shape == (1, TICKS * 4, 2)
     # Within a period it advances by at most its speed.
-    assert np.all(reference >= 0.04 - 0.005 - TOOL.speed_m_s[1] * 0.04 - 1e-12)
+    ahead_m = slack_m + [tool.speed_m_s[1] * 0.04 for tool in tools]
+    assert np.all(reference >= 0.04 - ahead_m - 1e-12)
+    np.testing.assert_allclose(reference[0, -1], 0.04 - ahead_m, atol=1e-12)
+    opened = np.broadcast_to([tool.stroke_m for tool in tools], (1, TICKS, 2))
     for _ in range(3):
-        servos(np.full((1, TICKS, 2), TOOL.stroke_m), held)
-    reference = servos(np.full((1, TICKS, 2), TOOL.stroke_m), held)
-    assert reference[0, -1, 0] > 0.04  # it opens at once
+        servos(opened, held)
+    assert (servos(opened, held)[0, -1] > 0.04).all()  # they open at once
+    with pytest.raises(ActionError, match=r"gripper left .* 0 to 0.085 m"):
+        servos(np.full((1, TICKS, 2), 0.14), held)
 
 
 def test_an_opening_beyond_the_stroke_is_refused():

@@ -15,6 +15,7 @@ from dual_ur10.cli.emulate import emulate
 from dual_ur10.cli.evaluate import evaluate
 from dual_ur10.cli.follow import follow, follow_points, follow_serial
 from dual_ur10.cli.list import list_environments
+from dual_ur10.cli.new_task import new_task
 from dual_ur10.cli.options import console, errors
 from dual_ur10.cli.records import compare, fit, replay
 from dual_ur10.cli.rollout import rollout
@@ -78,6 +79,7 @@ _COMMANDS = (
         evaluate,
         train,
         collect,
+        new_task,
         convert,
     ),
     *(emulate, doctor, status, replay, compare, fit),

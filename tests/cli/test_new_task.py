@@ -1,0 +1,59 @@
+"""The command `new-task`: a project that installs, and whose own tests pass."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+from tests.cli.command import run
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("new") / "reach_both"
+    text = run("new-task", "ReachBoth", "--out", str(folder), "--namespace", "Lab")
+    assert "python -m dual_ur10 evaluate ReachBoth" in " ".join(text.split())
+    return folder
+
+
+def test_it_installs_and_is_found_by_name(project, tmp_path):
+    install = [*(sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--no-build-isolation")]
+    subprocess.run([*install, "--target", str(tmp_path), str(project)], check=True, timeout=120, capture_output=True)
+    path = os.pathsep.join([str(tmp_path), *sys.path])
+    command = [sys.executable, "-m", "dual_ur10", "evaluate", "ReachBoth", "--episodes", "2"]
+    done = subprocess.run(command, env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert "2 of 2" in done.stdout
+
+
+def test_its_own_tests_pass(project):
+    path = os.pathsep.join([str(project), *sys.path])
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(project / "tests")]
+    environment = {**os.environ, "PYTHONPATH": path}
+    done = subprocess.run(command, cwd=project, env=environment, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stdout
+
+
+def test_it_is_as_well_kept_as_this_package(project):
+    ruff = [sys.executable, "-m", "ruff"]
+    for command in (["check", "--select", "E,F,W,I,UP,B,D", "--line-length", "120"], ["format", "--check"]):
+        extra = ["--line-length", "120"] if command[0] == "format" else ["--config", 'lint.pydocstyle.convention="google"']
+        done = subprocess.run([*ruff, *command, *extra, "--isolated", str(project)], capture_output=True, text=True)
+        assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["peg"], "a capital letter first"),
+        (["Peg-v1"], "use letters and digits"),
+        (["Handover", "--namespace", "DualUR10"], "another one than DualUR10"),
+        (["Peg", "--out", "."], "name a folder that does not"),
+    ],
+)
+def test_bad_names_are_refused(arguments, text, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert text in " ".join(run("new-task", *arguments, code=2).split())
+    assert not list(tmp_path.iterdir())

@@ -11,6 +11,7 @@ from dual_ur10.cli import follow
 from dual_ur10.kinematics.ur10 import JOINTS
 from dual_ur10.sim2real.trajectory.files import write_trajectory
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
+from tests.busy_machine import BusyMachine
 from tests.cli.command import run
 from tests.sim2real.serial_rig import serial_port, trajectory
 from tests.sim2real.trajectory.following import wave
@@ -115,6 +116,7 @@ def test_a_dry_run_has_no_errors(file):
     assert "succeeded, SUCCESSFUL (0)" in text
 
 
+@BusyMachine.mark()  # it streams to a pseudo-terminal in real time
 def test_arms_on_a_serial_line_follow_and_say_that_nothing_measures_them(tmp_path):
     there = str(write_trajectory(tmp_path / "there.csv", trajectory(duration_s=0.3, size_rad=0.05)))
     with serial_port(SerialFirmware(device=77)) as port:
@@ -123,7 +125,7 @@ def test_arms_on_a_serial_line_follow_and_say_that_nothing_measures_them(tmp_pat
         assert "rejected, INVALID_GOAL (-1)" in text
         assert "--at-start" in text
         code, text = run("follow-serial", there, "--port", port, "--at-start", "--scaling", "0.5")
-    assert code == 0
+    assert code == 0, text
     assert "succeeded, SUCCESSFUL (0)" in text
     assert "nothing measures" in text
 

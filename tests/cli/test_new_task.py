@@ -7,13 +7,15 @@ import subprocess
 import sys
 
 import pytest
+
 from tests.cli.command import run
 
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory):
     folder = tmp_path_factory.mktemp("new") / "reach_both"
-    text = run("new-task", "ReachBoth", "--out", str(folder), "--namespace", "Lab")
+    code, text = run("new-task", "ReachBoth", "--out", str(folder), "--namespace", "Lab")
+    assert code == 0
     assert "python -m dual_ur10 evaluate ReachBoth" in " ".join(text.split())
     return folder
 
@@ -38,9 +40,10 @@ def test_its_own_tests_pass(project):
 
 def test_it_is_as_well_kept_as_this_package(project):
     ruff = [sys.executable, "-m", "ruff"]
-    for command in (["check", "--select", "E,F,W,I,UP,B,D", "--line-length", "120"], ["format", "--check"]):
-        extra = ["--line-length", "120"] if command[0] == "format" else ["--config", 'lint.pydocstyle.convention="google"']
-        done = subprocess.run([*ruff, *command, *extra, "--isolated", str(project)], capture_output=True, text=True)
+    select = ["--select", "E,F,W,I,UP,B,D", "--config", 'lint.pydocstyle.convention="google"']
+    for command in (["check", *select], ["format", "--check"]):
+        rest = ["--line-length", "120", "--isolated", str(project)]
+        done = subprocess.run([*ruff, *command, *rest], capture_output=True, text=True)
         assert done.returncode == 0, done.stdout
 
 
@@ -55,5 +58,7 @@ def test_it_is_as_well_kept_as_this_package(project):
 )
 def test_bad_names_are_refused(arguments, text, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert text in " ".join(run("new-task", *arguments, code=2).split())
+    code, found = run("new-task", *arguments)
+    assert code == 2
+    assert text in " ".join(found.split())
     assert not list(tmp_path.iterdir())

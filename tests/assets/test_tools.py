@@ -119,11 +119,13 @@ def test_a_handover_between_different_tools(tools):
     layout = env.unwrapped.core.task.layout
     opened = layout.split(observation)["gripper_m"][:, 0]
     np.testing.assert_allclose(opened, [tool.stroke_m for tool in tools], atol=1e-3)
-    for _ in range(250):
+    for step in range(250):
         assert env.observation_space.contains(observation)
         observation, _, terminated, truncated, info = env.step(policy(observation))
         assert not terminated
         assert not truncated
+        if step == 15:  # an action of 1 still means fully open
+            np.testing.assert_allclose(layout.split(observation)["gripper_m"][:, 0], opened, atol=1e-3)
         if info["stage"] == 5:  # both hold the block
             break
     assert info["stage"] == 5

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation, Slerp
 
-from dual_ur10.envs.tasks.holding import flanges_of
+from dual_ur10.envs.tasks.geometry import flanges_of
 from dual_ur10.envs.tasks.sync_carry.path import CarryPath
 from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings
 from dual_ur10.kinematics.forward import flange_pose

@@ -8,15 +8,14 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from dual_ur10.envs.tasks.tool_goals import approach
 from dual_ur10.kernel import RowLoop, Struct
 
 N, CALLS = 400, 300
 
 _FORKED = """
 import os, psutil
-from tests.kernel.test_threads import Stages
-before, after = Stages(3), Stages(3)
+from tests.kernel.test_threads import Distances
+before, after = Distances(3), Distances(3)
 before()
 child = os.fork()
 after()
@@ -26,33 +25,34 @@ print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), before.is_right(), aft
 """
 
 
-class Stages:
-    """A kernel function of N rows, each of which counts its calls: stages are passed in their order."""
+class Distances:
+    """A kernel function of N rows, each of which computes a distance of its own."""
 
     def __init__(self, threads: int) -> None:
-        self.stage = np.zeros(N, dtype=np.int64)
-        facts, terms = np.zeros((N, 13)), np.zeros((N, 14))
-        self.conditions = np.zeros((N, 7))
-        sizes = {"lifted_m": 0.08, "meeting_m": 0.1, "approach": approach(0.04)}
-        arrays = {"facts": facts, "conditions": self.conditions, "stage": self.stage, "terms": terms}
-        self._advance = RowLoop("stages_advance", Struct("Stages", n=N, **sizes, **arrays), N, threads)
+        self.found = np.zeros(N)
+        frames, others = np.zeros((N, 12)), np.zeros((N, 12))
+        frames[:, 3::4] = others[:, 3::4] = 1.0
+        frames[:, 0] = np.arange(N)
+        counts = {"n": N, "frame_count": 1, "pairs": 1, "of": np.zeros(1, dtype=np.int64)}
+        results = {"moved_m": self.found, "chord": np.zeros(N), "axis_rad": np.zeros(N)}
+        struct = Struct("FrameDistances", **counts, frames=frames, others=others, **results)
+        self._compute = RowLoop("frame_distances", struct, N, threads)
 
     def __call__(self) -> None:
-        """Let every row pass the stages below a number of its own."""
-        self.conditions[:] = np.arange(7) < (np.arange(N) % 8)[:, None]
-        self._advance()
+        """Compute all rows."""
+        self.found[:] = -1.0
+        self._compute()
 
     def is_right(self) -> bool:
         """Return True if every row was computed."""
-        return bool((self.stage == np.arange(N) % 8).all())
+        return bool((self.found == np.arange(N)).all())
 
 
 def _called(threads: int) -> int:
-    right, stages = 0, Stages(threads)
+    right, distances = 0, Distances(threads)
     for _ in range(CALLS):
-        stages.stage[:] = 0
-        stages()
-        right += stages.is_right()
+        distances()
+        right += distances.is_right()
     return right
 
 

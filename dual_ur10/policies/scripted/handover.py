@@ -11,10 +11,10 @@ import numpy as np
 from dual_ur10.assets.props import BLOCK_SIZE_M
 from dual_ur10.assets.settings import DEFAULT_TOOLS
 from dual_ur10.assets.tool import Tool
+from dual_ur10.envs.tasks.geometry import LEARNERS_ROOM_M
+from dual_ur10.envs.tasks.handover.goals import WIDTH_M
 from dual_ur10.envs.tasks.handover.settings import HandoverSettings
-from dual_ur10.envs.tasks.handover.stages import WIDTH_M
 from dual_ur10.envs.tasks.handover.task import Handover
-from dual_ur10.envs.tasks.holding import LEARNERS_ROOM_M
 from dual_ur10.envs.tasks.observation_layout import pose_of
 from dual_ur10.envs.tasks.task import Timing, duration_ratio
 from dual_ur10.errors import LostError

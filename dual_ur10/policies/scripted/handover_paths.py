@@ -10,8 +10,8 @@ import numpy as np
 from dual_ur10.assets.props import BLOCK_SIZE_M
 from dual_ur10.assets.settings import DEFAULT_TOOLS, home_q_rad
 from dual_ur10.assets.tool import levers_m as tool_levers_m
+from dual_ur10.envs.tasks.geometry import APPROACH_M, flanges_of
 from dual_ur10.envs.tasks.handover.settings import GRIPS, MEETING_M, laid_quat, presented_quat
-from dual_ur10.envs.tasks.holding import APPROACH_M, flanges_of
 from dual_ur10.kinematics import nearest
 from dual_ur10.kinematics.frames import ArmMount, Frames
 from dual_ur10.kinematics.poses import Poses, compose, relative_to

@@ -10,7 +10,7 @@ import numpy as np
 from dual_ur10.assets.props import BAR_WIDTH_M
 from dual_ur10.assets.settings import DEFAULT_TOOLS
 from dual_ur10.assets.tool import Tool
-from dual_ur10.envs.tasks.holding import LEARNERS_ROOM_M, flanges_of
+from dual_ur10.envs.tasks.geometry import LEARNERS_ROOM_M, flanges_of
 from dual_ur10.envs.tasks.observation_layout import pose_of
 from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings
 from dual_ur10.envs.tasks.sync_carry.task import SyncCarry

@@ -128,4 +128,4 @@ def test_a_recording_keeps_the_tilt():
 def test_shoulders_of_the_handover_are_those_of_the_arms():
     task = EnvSetup.resolve("Handover", {"cell": TILTED}).make_task()
     expected = Frames(MOUNTS).position_to_cell(np.array([[0.0, 0.0, mount.model.d_m[0]] for mount in MOUNTS]))
-    np.testing.assert_allclose(task._evaluate._made_of[1].values["shoulders_m"], expected, atol=1e-12)
+    np.testing.assert_allclose(task._goals.to_block.others[0, 3:, :3], expected, atol=1e-12)

@@ -3,9 +3,9 @@ import pytest
 
 from dual_ur10 import errors
 from dual_ur10.envs.core.core import Core
+from dual_ur10.envs.tasks.handover.goals import WIDTH_M
 from dual_ur10.envs.tasks.handover.settings import GRIPS, HandoverSettings, laid_quat, lying, presented_quat
-from dual_ur10.envs.tasks.handover.stages import STAGES, WIDTH_M, Stages
-from dual_ur10.envs.tasks.handover.task import SETTLED_S, Handover
+from dual_ur10.envs.tasks.handover.task import Handover, facts_of
 from dual_ur10.kinematics import flange_pose_quat
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.poses import yaw_quat
@@ -15,6 +15,7 @@ from dual_ur10.sim2real.config.cell import CellConfig
 from tests.soak import scaled
 
 BEHIND, ASIDE = ArmMount((-1.1, -0.6, 0.0)), ArmMount((-0.75, 1.2, 0.0))
+STAGES = Handover.stages
 STAY = np.tile([0.0] * 6 + [1.0], 2).astype(np.float32)
 
 
@@ -35,24 +36,35 @@ def gripper(between=False, holds=False, opening=0.085, near=0.5, closes=False):
 
 
 def facts(giving=None, receiving=None, height=0.02, meeting=0.5, placed=False):
-    both = [value for each in zip(giving or gripper(), receiving or gripper(), strict=True) for value in each]
-    return [*both, height, meeting, placed]
+    """Return the facts of one handover, or, from tuples of values, of several."""
+    between, holds, opening, near, closes = zip(giving or gripper(), receiving or gripper(), strict=True)
+    wider = [(each - WIDTH_M) / (0.085 - WIDTH_M) for each in opening]
+    opened, closed = [min(max(each, 0.0), 1.0) for each in wider], [max(1.0 - abs(each), 0.0) for each in wider]
+    clear = [min(max((each - WIDTH_M) / 0.007, 0.0), 1.0) for each in opening]
+    numbers = {"height_m": height, "off_m": meeting, "laid": placed, "lost": False}
+    return facts_of(between, holds, closes, near, opened, closed, clear, **numbers)
 
 
-def at(scene, passed=0):
-    """Return stages of one handover whose conditions are checked in a scene, after some passed stages."""
-    stages = Stages(1)
-    stages.facts[0], stages.passed[0] = scene, passed
-    stages.check()
-    return stages
+TASK = Core("Handover", {}).task
+
+
+def passed_after(scene, passed=0):
+    """Return the number of stages passed after a scene."""
+    TASK.passed[:] = passed
+    TASK._advance(scene)
+    return int(TASK.passed[0])
+
+
+def holds(scene, stage):
+    return bool(getattr(TASK, STAGES[stage])(scene)[0])
 
 
 def terms(scene, passed):
-    stages = at(scene)
-    stages.conditions[:] = 0.0
-    stages.passed[0] = passed
-    stages.advance()
-    return stages.terms[0]
+    """Return the terms of giver and receiver, (2, 7), for stages that are passed, whatever the scene passes."""
+    blocked = scene._replace(placed=False)
+    progress = [getattr(TASK, name)(blocked)[1] for name in STAGES]
+    found = np.array([each if isinstance(each, tuple) else (each, each) for each in progress]).T
+    return found * TASK._due[passed] + TASK._earned[passed]
 
 
 HOLDS = gripper(True, True, WIDTH_M, 0.99, closes=True)
@@ -70,30 +82,24 @@ SCENES = [
 
 def test_stages_are_passed_one_after_the_other():
     for k, scene in enumerate(SCENES):
-        stages = at(scene, k)
-        stages.advance()
-        assert stages.passed[0] == k + 1
+        assert passed_after(scene, k) == k + 1
 
 
 @pytest.mark.parametrize("left_out", [0, 1, 2, 4, 5])
-def test_no_stage_can_be_skipped(left_out):
+def test_no_stage_can_be_skipped(left_out, monkeypatch):
+    methods = [
+        lambda *_, each=each: (False, 0.0) if each == left_out else Handover._stages[each](*_) for each in range(7)
+    ]
+    monkeypatch.setattr(TASK, "_stages", methods, raising=False)
     passed = 0
     for scene in SCENES:
-        stages = at(scene, passed)
-        stages.conditions[:, left_out] = 0.0
-        stages.advance()
-        passed = stages.passed[0]
+        passed = passed_after(scene, passed)
     assert passed == left_out
 
 
 def test_stages_that_hold_at_once_are_passed_at_once_and_never_lost():
-    stages = at(SCENES[3])
-    stages.advance()
-    assert stages.passed[0] == 4
-    stages.facts[0] = facts()
-    stages.check()
-    stages.advance()
-    assert stages.passed[0] == 4
+    assert passed_after(SCENES[3]) == 4
+    assert passed_after(facts(), 4) == 4
 
 
 @pytest.mark.parametrize(
@@ -108,7 +114,8 @@ def test_stages_that_hold_at_once_are_passed_at_once_and_never_lost():
     ],
 )
 def test_near_misses_do_not_pass_a_stage(scene, stage):
-    assert not at(scene).conditions[0, stage]
+    assert not holds(scene, stage)
+    assert holds(SCENES[stage], stage)
 
 
 def test_terms_rise_within_a_stage_and_are_one_after_it():
@@ -148,10 +155,10 @@ def test_each_arm_earns_its_own_terms():
     assert approach[0][0] == approach[1][0]
 
 
-@pytest.mark.parametrize("scene", [facts(HOLDS, height=0.3, meeting=0.06), facts(HOLDS, height=0.07, meeting=0.03)])
-def test_the_receivers_approach_counts_while_the_block_is_presented(scene):
-    assert terms(scene, 4)[1, 4] == 0.0
-    assert terms(facts(HOLDS, HOLDS, *scene[10:12]), 4)[1, 4] == 1.0  # once it holds the block, anywhere
+@pytest.mark.parametrize("where", [{"height": 0.3, "meeting": 0.06}, {"height": 0.07, "meeting": 0.03}])
+def test_the_receivers_approach_counts_while_the_block_is_presented(where):
+    assert terms(facts(HOLDS, **where), 4)[1, 4] == 0.0
+    assert terms(facts(HOLDS, HOLDS, **where), 4)[1, 4] == 1.0  # once it holds the block, anywhere
 
 
 def test_fingers_that_close_before_they_are_there_earn_less():
@@ -176,7 +183,7 @@ def test_after_all_stages_the_block_must_settle():
     core, _ = begun()
     core.step(STAY)
     target = core.cell._physics._props.objects["target"]
-    core.task._stages.passed[:] = 6
+    core.task.passed[:] = 6
     put(core, target.position_m[0] + [0.1, 0.0, 0.0], target.quat[0])
     assert core.step(STAY).info["stage"][0] == 6  # off the target
     put(core, target.position_m[0], target.quat[0])
@@ -192,7 +199,7 @@ def test_after_all_stages_the_block_must_settle():
     assert step.info["is_success"][0]
     assert step.ends == {0: "success"}
     assert not step.truncated[0]
-    assert steps * core.timing.period_s == pytest.approx(SETTLED_S, abs=core.timing.period_s)
+    assert steps * core.timing.period_s == pytest.approx(Handover.settled_s, abs=core.timing.period_s)
 
 
 def test_the_direction_of_the_block_matters_but_not_its_upper_side():
@@ -248,7 +255,7 @@ def test_starts_are_sampled_on_the_givers_side():
     core = Core("Handover", {"giver": "random"}, n=n)
     core.reset([np.random.default_rng(seed) for seed in range(n)])
     settings, task = core.task.settings, core.task
-    giver = task._giver
+    giver = task.first
     assert 0.35 < giver.mean() < 0.65
     state = core._state
     side = 1 - 2 * giver

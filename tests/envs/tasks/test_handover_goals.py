@@ -8,8 +8,8 @@ import pytest
 from dual_ur10 import policies
 from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 from dual_ur10.envs.core.core import Core
+from dual_ur10.envs.tasks.geometry import flanges_of
 from dual_ur10.envs.tasks.handover.settings import APPROACH_M, GRIPS, MEETING_M, laid_quat, presented_quat
-from dual_ur10.envs.tasks.holding import flanges_of
 from dual_ur10.kinematics.frames import Frames
 from dual_ur10.kinematics.poses import Poses, compose, length
 from dual_ur10.kinematics.rotations import quat_conjugate, quat_multiply, quat_to_matrix
@@ -31,26 +31,35 @@ def own_fields(core, observation):
     return {name: own[..., layout.indices([name])] for name in layout.names}
 
 
+def goals_now(core, measured):
+    """Return the goals of the grippers, (n, 2), the steps, and grips between fingers, of the reward of this instant."""
+    goals, grasped = core.task._goals, measured.grasped
+    moved_m, chord, _ = goals.to_block(grasped.frames)
+    found = goals(grasped, grasped.tools, moved_m, chord)
+    return np.stack(np.broadcast_arrays(*found.closes), axis=-1).reshape(-1, 2), found.steps, grasped.between
+
+
 @pytest.mark.parametrize("giver", ["left", "right"])
 def test_agents_observe_the_goals_of_the_reward(giver):
     core, observation = begun((0, 1), giver=giver)
     script, passed, closing = policies.load("scripted", "DualUR10/Handover-v0", giver=giver), set(), set()
-    roles = [0, 1] if giver == "left" else [1, 0]
     while True:
         step = core.step(np.asarray(script(observation), dtype=np.float32))
         observation = step.observation
         if step.terminated.any() or step.truncated.any():
             break
-        fields, facts = own_fields(core, observation), core.task._stages.facts
+        fields = own_fields(core, observation)
+        measured = core.task.measure(core._state)
+        found, steps, between = goals_now(core, measured)
         passed.add(int(step.info["stage"][0]))
-        closing.add(tuple(facts[0, 8:10]))
+        closing.add(tuple(map(bool, found[0])))
         near_m, near = fields["goal_closeness"][..., 0], fields["goal_closeness"][..., 1]
         left_m, turn = 0.01 * (1.0 / near_m - 1.0), 0.03 * (1.0 / near - 1.0)
         move = 1.0 - np.minimum(left_m, 1.0) + 0.5 * (0.03 / (0.03 + left_m) + 0.3 / (0.3 + left_m))
         rotation = 1.0 - 0.5 * turn + 0.5 * (0.2 / (0.2 + turn) + 1.0 / (1.0 + turn))
-        assert np.allclose(0.25 * (move + rotation)[:, roles], facts[:, 6:8], rtol=0, atol=1e-6)
-        assert np.array_equal(fields["between"][:, roles, 0], facts[:, :2])
-        assert np.array_equal(1.0 - fields["goal_opening"][:, roles, 0], facts[:, 8:10])
+        assert np.allclose(0.25 * (move + rotation), steps.nearness, rtol=0, atol=1e-6)
+        assert np.array_equal(fields["between"][..., 0], between)
+        assert np.array_equal(1.0 - fields["goal_opening"][..., 0], found)
     assert passed == set(range(8))
     assert len(closing) == 4
 
@@ -58,7 +67,7 @@ def test_agents_observe_the_goals_of_the_reward(giver):
 def test_goals_at_the_start_are_above_the_grip_and_at_home():
     core, observation = begun(range(8), giver="random")
     fields, state = own_fields(core, observation), core._state
-    rows, giver = np.arange(8), core.task._giver
+    rows, giver = np.arange(8), core.task.first
     tool = state.flange_m + quat_to_matrix(state.flange_quat)[..., 2] * TOOL.tcp_m
     frames = Frames((core.task.cell.left, core.task.cell.right))
     assert np.allclose(frames.position_to_cell(fields["flange_base_m"]), state.flange_m, atol=1e-6)
@@ -81,7 +90,11 @@ def test_a_rotated_block_is_not_presented(giver, turned_rad, found_m):
     block = core.cell._physics._props.objects["block"]
     block.position_m[0], block.quat[0] = MEETING_M, quat_multiply(turn, presented_quat(giver))
     core.step(np.zeros((1, 14), dtype=np.float32))
-    assert core.task._stages.facts[0, 11] == pytest.approx(found_m, abs=0.015)  # it falls for a moment
+    goals, grasped = core.task._goals, core.task.measure(core._state).grasped
+    moved_m, chord, _ = goals.to_block(grasped.frames)
+    assert goals(grasped, grasped.tools, moved_m, chord).off_m == pytest.approx(
+        found_m, abs=0.015
+    )  # it falls for a moment
 
 
 LYING = Poses(np.array([0.02, 0.5, 0.02]), np.array([1.0, 0.0, 0.0, 0.0]))

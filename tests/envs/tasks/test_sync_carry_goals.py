@@ -8,7 +8,7 @@ import pytest
 from dual_ur10 import policies
 from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 from dual_ur10.envs.core.core import Core
-from dual_ur10.envs.tasks.holding import APPROACH_M, flanges_of
+from dual_ur10.envs.tasks.geometry import APPROACH_M, flanges_of
 from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings
 from dual_ur10.kinematics import nearest
 from dual_ur10.kinematics.frames import Frames

@@ -51,14 +51,14 @@ def test_the_references_lie_on_the_sine():
     core.reset([np.random.default_rng(seed) for seed in range(3)])
     task, settings = core.task, core.task.settings
     begin = task.measure(core._state).reference_m
-    zero = settings.displacement_m(np.zeros((3, 1)), task._wave[:, 2:])
+    zero = settings.displacement_m(np.zeros((3, 1)), task._phase)
     for _ in range(70):  # beyond the soft start
         core.step(np.zeros((3, 12)))
         time, measured = core._state.time_s[:, None], task.measure(core._state)
-        moved = (settings.displacement_m(time, task._wave[:, 2:]) - zero)[:, :, None] * settings.direction
+        moved = (settings.displacement_m(time, task._phase) - zero)[:, :, None] * settings.direction
         assert np.abs(measured.reference_m - begin - moved).max() < 1e-14
-        ahead = settings.displacement_m(time + task.timing.ahead_s, task._wave[:, 2:]) - settings.displacement_m(
-            time, task._wave[:, 2:]
+        ahead = settings.displacement_m(time + task.timing.ahead_s, task._phase) - settings.displacement_m(
+            time, task._phase
         )
         away = np.linalg.norm(measured.ahead_base_m - measured.reference_base_m, axis=2)
         assert np.abs(away - np.abs(ahead)).max() < 1e-14
@@ -150,7 +150,7 @@ def test_approach_leads_from_any_distance():
     state, found = core._state, []
     for away_m in np.linspace(0.0, 0.6, 61):
         moved = state._replace(flange_m=state.flange_m + np.array([0.0, 0.0, away_m]))
-        terms = core.task.measure(moved).terms[0]
+        terms = core.task.evaluate(moved, core.task.measure(moved)).terms[0]
         assert np.allclose(terms[0], terms[1], atol=1e-9)
         found.append(terms[0])
     approach, position, *_ = np.array(found).T

@@ -100,7 +100,7 @@ def test_a_block_that_is_not_let_go_is_not_placed():
     over = False
     while not over:
         action = policy(observation)
-        action[0, 13] = -1.0 if core.task._stages.passed[0] == 6 else action[0, 13]
+        action[0, 13] = -1.0 if core.task.passed[0] == 6 else action[0, 13]
         step = core.step(action)
         observation, over = step.observation, step.truncated[0]
         assert not step.terminated[0]

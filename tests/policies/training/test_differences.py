@@ -79,7 +79,7 @@ def test_a_finish_counts_for_the_time_that_is_left_and_at_most_for_ever(duration
     for env in (plain, changed):
         core = env.cells.core
         objects = core.cell._physics._props.objects
-        core.task._stages.passed[:] = 6
+        core.task.passed[:] = 6
         core._refused[:] = refused
         for part, wanted in zip(objects["block"], objects["target"], strict=True):
             part[:] = wanted

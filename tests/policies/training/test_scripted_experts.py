@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from dual_ur10 import policies
+from dual_ur10.envs.tasks.geometry import LEARNERS_ROOM_M
 from dual_ur10.envs.tasks.handover.task import Handover
-from dual_ur10.envs.tasks.holding import LEARNERS_ROOM_M
 from dual_ur10.envs.tasks.observation_layout import pose_of
 from dual_ur10.envs.tasks.sync_carry.task import SyncCarry
 from dual_ur10.errors import LostError

@@ -8,7 +8,7 @@ import math
 import pytest
 
 from dual_ur10 import ENV_IDS
-from dual_ur10.envs.tasks.tool_goals import GOAL_FIELDS
+from dual_ur10.envs.tasks.agent_goals import GOAL_FIELDS
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.policies.learned.signature import view_of
 from dual_ur10.policies.training.settings import (

@@ -13,7 +13,7 @@ import numpy as np
 from dual_ur10.assets.props import BLOCK_GRIP_M, BLOCK_GRIP_QUAT, BLOCK_SIZE_M
 from dual_ur10.assets.settings import SceneSettings, home_q_rad
 from dual_ur10.assets.tool import levers_m
-from dual_ur10.envs.tasks.holding import APPROACH_M, flanges_of
+from dual_ur10.envs.tasks.geometry import APPROACH_M, flanges_of
 from dual_ur10.envs.tasks.task import check_numbers
 from dual_ur10.errors import UnknownNameError, WorkspaceError
 from dual_ur10.kinematics import try_nearest

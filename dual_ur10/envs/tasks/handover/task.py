@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any, ClassVar, NamedTuple
 
@@ -11,11 +10,15 @@ import numpy as np
 from dual_ur10.assets.props import BLOCK, BLOCK_SIZE_M, TARGET
 from dual_ur10.assets.settings import DEFAULT_TOOLS, Equipment, home_q_rad
 from dual_ur10.assets.tool import Tool, strokes_m
-from dual_ur10.envs.tasks.agent_observations import AgentObservations
-from dual_ur10.envs.tasks.handover.goals import agent_observations, goals
-from dual_ur10.envs.tasks.handover.settings import GRIPS, HandoverSettings, check_reach, lying
-from dual_ur10.envs.tasks.handover.stages import PLACED, STAGES, STILL_M_S, WIDTH_M, Stages
-from dual_ur10.envs.tasks.holding import PICKING, Grasped, Grasps, required
+from dual_ur10.envs.tasks.agent_goals import GOAL_FIELDS
+from dual_ur10.envs.tasks.geometry import PICKING, Grasped, Number, length, numbers, ratio, required
+from dual_ur10.envs.tasks.handover.goals import (
+    LIFTED_M,
+    MEETING_RANGE_M,
+    HandoverAgents,
+    HandoverGoals,
+)
+from dual_ur10.envs.tasks.handover.settings import HandoverSettings, check_reach, lying
 from dual_ur10.envs.tasks.observation_layout import (
     ARM_FIELDS,
     OTHER_FLANGE_FIELDS,
@@ -29,35 +32,106 @@ from dual_ur10.envs.tasks.observation_layout import (
     wrench_fields,
     wrench_values,
 )
-from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Task, Timing, duration_ratio
-from dual_ur10.envs.tasks.tool_goals import GOAL_FIELDS
-from dual_ur10.kernel import RowLoop, Struct
-from dual_ur10.kinematics.frames import ArmMount, Frames
+from dual_ur10.envs.tasks.staged import Progress, StagedTask, stage
+from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Timing, duration_ratio
+from dual_ur10.kinematics.frames import ArmMount
+from dual_ur10.kinematics.poses import Poses
 from dual_ur10.kinematics.rotations import rotate
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.control.limits import MotionLimits, reach_from_joint_m
 from dual_ur10.types import Array, Rows
 
-SETTLED_S = 0.5
-"""Time that the block must lie on its target before an episode ends with success."""
+_TARGET, _BEFORE, _SHOULDERS = 1, 2, slice(3, 5)  # pairs of `HandoverGoals.to_block`, behind that of the transfer
+
+STILL_M_S = 0.02
+"""Speed below which the block counts as still."""
 
 _FALLEN_M = -0.03  # height of the middle of a block that is no longer on the table
 _BEYOND_M = BLOCK_SIZE_M[0] / 2  # from a shoulder farther than its tool: out of reach
+
+
+Pair = Sequence[Number]
 
 
 class HandoverMeasured(NamedTuple):
     """Poses at one instant; positions in the cell frame unless another is named.
 
     Attributes:
-        poses: (n, 14) pose of the block, then of the target: position and quaternion.
-        grasped: Both arms and the block; the poses and rotations are those of block and target.
+        block_m: (n, 3) position of the block.
+        grasped: Both arms, block and target.
     """
 
-    poses: Array
+    block_m: Array
     grasped: Grasped
 
 
-class Handover(Task[HandoverSettings, HandoverMeasured]):
+class Facts(NamedTuple):
+    """Facts of one instant on which the stages depend, of each row; pairs are of giver and receiver.
+
+    Attributes:
+        between: True if the grip of the block is between the fingers.
+        holds: True if the gripper holds the block.
+        near: Nearness of the tool to its goal; less while fingers are not open that are to be open.
+        shut: Closed fraction of fingers that are to be closed and have the grip between them; else 0.
+        clear: Fraction to which the fingers are clear of the block.
+        raised: Height of the block's middle above the table, 1 once it is lifted.
+        carried: True if the giver holds the lifted block.
+        presented: True if it does so at the transfer.
+        placed: True if the block lies still on its target, and no gripper holds it.
+        lost: True if it fell, or lies where no arm can reach it.
+    """
+
+    between: Pair
+    holds: Pair
+    near: Pair
+    shut: Pair
+    clear: Pair
+    raised: Number
+    carried: Number
+    presented: Number
+    placed: Number
+    lost: Number
+
+
+def facts_of(
+    between: Pair,
+    holds: Pair,
+    closes: Pair,
+    nearness: Pair,
+    opened: Pair,
+    closed: Pair,
+    clear: Pair,
+    *,
+    height_m: Number,
+    off_m: Number,
+    laid: Number,
+    lost: Number,
+) -> Facts:
+    """Return the facts that follow from what is measured.
+
+    Args:
+        between: True if the grip of the block is between the fingers; of giver and receiver, like those that follow.
+        holds: True if the gripper holds the block.
+        closes: True if it is to be closed.
+        nearness: Nearness of the tool to its goal.
+        opened: Fraction to which the fingers are open; see `Grasped`.
+        closed: Fraction to which they are closed.
+        clear: Fraction to which they are clear of the block.
+        height_m: Height of the block's middle.
+        off_m: Distance of the block from the transfer.
+        laid: True if the block lies still on its target.
+        lost: True if it is lost.
+    """
+    near = [near * (to + (1.0 - to) * (0.8 + 0.2 * by)) for near, to, by in zip(nearness, closes, opened, strict=True)]
+    shut = [to * inside * by for to, inside, by in zip(closes, between, closed, strict=True)]
+    raised = height_m / LIFTED_M
+    carried = holds[0] & (raised > 1.0)
+    presented = carried & (off_m < MEETING_RANGE_M)
+    placed = laid & (holds[0] + holds[1] < 1)
+    return Facts(between, holds, near, shut, clear, raised, carried, presented, placed, lost)
+
+
+class Handover(StagedTask[HandoverSettings, HandoverMeasured, Facts]):
     """One arm picks up a block and hands it in the air to the other, which places it on a target.
 
     ## Description
@@ -118,7 +192,7 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
     | 55 | elapsed fraction of the episode's time | -1.01 | 1.01 | - | ratio |
 
     An agent of the two-agent environment observes its arm's 56 numbers, and behind them 23 of the goal of its tool,
-    which follow from the joint observation: `dual_ur10.envs.tasks.tool_goals.GOAL_FIELDS`.
+    which follow from the joint observation: `dual_ur10.envs.tasks.agent_goals.GOAL_FIELDS`.
 
     ## Rewards
 
@@ -127,7 +201,7 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
     earn. A part has its largest value once its stage is passed, and measures progress until then. It is 0 before its
     stage begins, but for the receiver's part of *present*.
 
-    Progress is mostly the nearness (`dual_ur10.envs.tasks.tool_goals`) of a tool to its goal in the present phase
+    Progress is mostly the nearness (`dual_ur10.envs.tasks.geometry.ToolSteps`) of a tool to its goal in the present phase
     (`dual_ur10.envs.tasks.handover.goals`).
 
     - *reach* (0.1): passed when the giver's grip of the block is between its fingers. Giver, 2: twice its nearness.
@@ -211,17 +285,6 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
     limits: MotionLimits = MotionLimits(
         speed_rad_s=(1.2,) * 6, acceleration_rad_s2=10.0, jerk_rad_s3=2000.0, tcp_speed_m_s=1.5
     )
-    weights: ClassVar[dict[str, float]] = {
-        "reach": 0.1,
-        "grasp": 0.1,
-        "lift": 0.1,
-        "present": 0.1,
-        "mutual_grasp": 0.15,
-        "release": 0.15,
-        "place": 0.3,
-        "finish": 1.0,
-    }
-    stages: ClassVar[tuple[str, ...]] = STAGES
     settings_type: ClassVar[type[HandoverSettings]] = HandoverSettings
     layout: ObservationLayout = ObservationLayout(
         *ARM_FIELDS,
@@ -236,52 +299,22 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
     )
 
     def __init__(self, settings: HandoverSettings, cell: CellConfig, timing: Timing, n: int) -> None:
-        super().__init__(settings, cell, timing, n)
+        duration_s = settings.duration_s * duration_ratio(type(self).limits, cell.capped(type(self).limits))
+        super().__init__(settings, cell, timing, n, duration_s)
         mounts, tools = (cell.left, cell.right), cell.equipment.tools
         check_reach(settings, cell.scene)
-        self.duration_s = settings.duration_s * duration_ratio(type(self).limits, self.limits)
-        self.horizon = self._steps = max(1, math.ceil(self.duration_s / timing.period_s - 1e-9))
-        self._settled_steps = max(1, math.ceil(SETTLED_S / timing.period_s - 1e-9))
-        self._giver = np.zeros(n, dtype=np.int64)
-        # Each arm's role, and for each role the index of its arm among the arms of all cells. The second swaps arms and
-        # roles in either direction.
         self._role: Array = np.ones((n, 2, 1))
-        self._by_role: Rows = np.zeros((n, 2), dtype=np.intp)
-        self._grip_m: Array = np.zeros((n, 2, 3))
-        self._grasps = Grasps(Frames(mounts), self._grip_m, WIDTH_M, 2, tools)
-        # Of the episode so far.
-        self._stages = Stages(n, tools)
-        self._count = np.zeros(n, dtype=np.int64)
-        self._settled = np.zeros(n, dtype=np.int64)
-        self._before_m: Array = np.zeros((n, 3))  # position of the block in the last step
-        self._slip_m: Array = np.zeros((n, 2))
-        self._input, self._output = np.zeros((n, 72)), np.zeros((n, 4))
+        self._goals = HandoverGoals(n, mounts, 3, tools=tools)
         self._agents = self.agents_for(settings, mounts, tools)
-        struct = Struct(
-            "Handover",
-            n=n,
-            still_m=STILL_M_S * timing.period_s,
-            success_error_m=settings.success_error_m,
-            far_m=np.array(
-                [
-                    reach_from_joint_m(mount.robot)[1] + (tool.tcp_m + _BEYOND_M)
-                    for mount, tool in zip(mounts, tools, strict=True)
-                ]
-            ),
-            fallen_m=_FALLEN_M,
-            shoulders_m=np.array(
-                [mount.position_m + rotate(mount.quat, np.array([0.0, 0.0, mount.model.d_m[0]])) for mount in mounts]
-            ),
-            goals=goals(mounts, tools),
-            giver=self._giver,
-            input=self._input,
-            before_m=self._before_m,
-            slip_from_m=np.zeros((n, 6)),
-            slip_m=self._slip_m,
-            facts=self._stages.facts,
-            output=self._output,
-        )
-        self._evaluate = RowLoop("handover_evaluate", struct, n, 1)
+        self._still_m = STILL_M_S * timing.period_s
+        self._slip_from_m: Array = np.zeros((n, 2, 3))
+        self._slip_m: Array = np.zeros((n, 2))
+        up = [rotate(mount.quat, np.array([0.0, 0.0, mount.model.d_m[0]])) for mount in mounts]
+        self._goals.to_block.others[:, _SHOULDERS, :3] = [m.position_m + by for m, by in zip(mounts, up, strict=True)]
+        self._far_m = [
+            reach_from_joint_m(mount.robot)[1] + (tool.tcp_m + _BEYOND_M)
+            for mount, tool in zip(mounts, tools, strict=True)
+        ]
 
     @classmethod
     def requirements(cls, settings: HandoverSettings) -> SceneRequirements:
@@ -297,13 +330,10 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         where = sampled[:, :3] * np.array([settings.object_range_m] * 2 + [settings.object_turn_rad])
         wanted = sampled[:, 3:6] * np.array([settings.target_range_m] * 2 + [settings.target_turn_rad])
         block, target = lying(where, giver), lying(wanted, 1 - giver)
-        self._giver[rows] = giver
+        self.begin_rows(rows, giver)
+        self._goals.begin(rows, giver)
         self._role[rows, giver], self._role[rows, 1 - giver] = 1.0, -1.0
-        self._by_role[rows] = 2 * rows[:, None] + np.stack([giver, 1 - giver], axis=1)
-        self._grip_m[rows] = np.stack([grips.position_m for grips in GRIPS])[giver]
-        for counts in (self._stages.passed, self._count, self._settled):
-            counts[rows] = 0
-        self._before_m[rows] = block.position_m
+        self._goals.to_block.others[rows, _BEFORE, :3] = block.position_m
         self._slip_m[rows] = 0.0
         return Start(
             np.broadcast_to(home_q_rad((self.cell.left, self.cell.right)), (len(rows), 2, 6)).copy(),
@@ -314,8 +344,9 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
 
     def measure(self, state: CellState) -> HandoverMeasured:
         """Compute the poses of all cells."""
-        poses = np.concatenate([*state.objects["block"], *state.objects["target"]], axis=1)
-        return HandoverMeasured(poses, self._grasps(state, poses))
+        poses = np.concatenate([*state.objects["block"], *state.objects["target"]], axis=1).reshape(self.n, 2, 7)
+        flanges = Poses(state.flange_m, required(state.flange_quat))
+        return HandoverMeasured(poses[:, 0, :3].copy(), self._goals.grasps(flanges, required(state.gripper_m), poses))
 
     def observe(self, state: CellState, measured: HandoverMeasured, commanded_q_rad: Array) -> Array:
         """Assemble the observations, (n, 112)."""
@@ -325,8 +356,8 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
             {
                 **arm_values(state, commanded_q_rad),
                 **wrench_values(required(state.wrench)),
-                **pose_values("block_base", in_bases[..., :7]),
-                **pose_values("target_base", in_bases[..., 7:]),
+                **pose_values("block_base", in_bases[:, :, 0]),
+                **pose_values("target_base", in_bases[:, :, 1]),
                 **pose_values("other_flange", measured.grasped.other_flange),
                 "gripper_m": gripper_m,
                 "other_gripper_m": gripper_m[:, ::-1],
@@ -346,45 +377,101 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         settings: HandoverSettings,
         mounts: tuple[ArmMount, ArmMount],
         tools: tuple[Tool, Tool] = DEFAULT_TOOLS,
-    ) -> AgentObservations:
+    ) -> HandoverAgents:
         """Return the function that assembles the agents' observations from joint ones."""
-        return agent_observations(cls.layout, cls.agent_layout_for(settings), mounts, tools)
+        return HandoverAgents(cls.layout, cls.agent_layout_for(settings), mounts, tools)
 
     def observe_agents(self, observation: Array) -> Array:
         """Return each agent's own observation, (n, 2, 79), from those of both, (n, 112)."""
         return self._agents(observation)
 
-    def evaluate(self, state: CellState, measured: HandoverMeasured) -> Outcome:
-        """Evaluate stages, reward terms, success and end."""
-        flanges = state.flange_m.reshape(self.n, 6), required(state.flange_quat).reshape(self.n, 8)
-        parts = (measured.poses, measured.grasped.values[:, :42], required(state.gripper_m), *flanges)
-        np.concatenate(parts, axis=1, out=self._input)
-        self._evaluate()
-        found, stages = self._output.copy(), self._stages
-        target_rad = np.arctan2(found[:, 1], found[:, 2])
-        now_placed = (stages.facts[:, PLACED] > 0.0) & (target_rad < self.settings.success_turn_rad)
-        stages.facts[:, PLACED] = now_placed
-        stages.check()
-        stages.advance()
-        self._count += 1
-        placed = (stages.passed == len(self.stages)) & now_placed
-        self._settled = (self._settled + 1) * placed
-        lost = found[:, 3] > 0.0
-        terminal = lost | (self._settled >= self._settled_steps)
-        over = self._count >= self._steps
-        info: dict[str, Any] = {
-            "stage": stages.passed.copy(),
-            "giver": self._giver.copy(),
-            "object_m": measured.poses[:, :3].copy(),
-            "object_error_m": found[:, 0],
-            "object_error_rad": target_rad,
+    # Stages: whether they are passed now, and the progress of giver and receiver.
+
+    @stage(weight=0.1, earned=(2.0, 0.0))
+    def reach(self, now: Facts) -> tuple[Number, Progress]:
+        """Bring the giver's fingers around its grip."""
+        return now.between[0], (now.near[0], 0.0)
+
+    @stage(weight=0.1, earned=(2.0, 0.0))
+    def grasp(self, now: Facts) -> tuple[Number, Progress]:
+        """Hold the block with the giver."""
+        return now.holds[0], (0.5 * now.between[0] * (now.near[0] + now.shut[0]), 0.0)
+
+    @stage(weight=0.1, earned=(2.0, 0.0))
+    def lift(self, now: Facts) -> tuple[Number, Progress]:
+        """Lift the block."""
+        return now.carried, (now.holds[0] * ratio(now.raised), 0.0)
+
+    @stage(weight=0.1, early=(False, True))
+    def present(self, now: Facts) -> tuple[Number, Progress]:
+        """Bring the block to the transfer; the receiver waits at home, from the first step on."""
+        return now.presented, (now.carried * now.near[0], now.near[1])
+
+    @stage(weight=0.15)
+    def mutual_grasp(self, now: Facts) -> tuple[Number, Progress]:
+        """Hold the block with both."""
+        gives, receives = now.holds
+        taking = now.presented * (0.6 * now.near[1] + 0.4 * now.shut[1])
+        both = gives & receives
+        return both & (now.raised > 1.0), (now.presented * now.near[0], both + (1.0 - both) * taking)
+
+    @stage(weight=0.15, earned=(1.5, 0.5))
+    def release(self, now: Facts) -> tuple[Number, Progress]:
+        """Open the giver's fingers, and leave the block to the receiver."""
+        receives, left = now.holds[1], now.between[0] < 1
+        giver = (0.5 * now.near[0] + now.clear[0]) / 1.5
+        return left & receives & (now.raised > 1.0), (receives * giver, receives * now.near[1])
+
+    @stage(weight=0.3, earned=(0.4, 1.6))
+    def place(self, now: Facts) -> tuple[Number, Progress]:
+        """Put the block down on its target, and open the receiver's fingers."""
+        receives, left = now.holds[1], now.between[0] < 1
+        giver = 0.5 * (now.near[0] + now.clear[0])
+        return now.placed, (receives * giver, (receives & left) * (1.3 / 1.6) * now.near[1])
+
+    def facts(self, state: CellState, measured: HandoverMeasured) -> Facts:
+        """Compute the facts of this step."""
+        grasped, goals = measured.grasped, self._goals
+        goals.to_block.others[:, _TARGET] = grasped.frames[:, 1]
+        moved_m, chord, axis_rad = goals.to_block(grasped.frames)
+        goals.to_block.others[:, _BEFORE] = grasped.frames[:, 0]
+        found = goals(grasped, grasped.tools, moved_m, chord)
+        self._slip(grasped)
+        self._error_m, self._error_rad = moved_m[:, _TARGET], axis_rad[:, _TARGET]
+        _, _, still_m, *to_shoulders_m = numbers(moved_m.T)
+        _, error_rad, *_ = numbers(axis_rad.T)
+        near_target = (found.error_m < self.settings.success_error_m) & (error_rad < self.settings.success_turn_rad)
+        far = (to_shoulders_m[0] > self._far_m[0]) & (to_shoulders_m[1] > self._far_m[1])
+        return facts_of(
+            *map(self.by_role, (grasped.between, grasped.holding, found.closes, found.steps.nearness)),
+            *map(self.by_role, (grasped.opened, grasped.closed, grasped.cleared)),
+            height_m=found.height_m,
+            off_m=found.off_m,
+            laid=near_target & (still_m < self._still_m),
+            lost=far | (found.height_m < _FALLEN_M),
+        )
+
+    def _slip(self, grasped: Grasped) -> None:
+        """Update the displacement of each grip in its gripper since the grasp."""
+        if np.count_nonzero(grasped.holding):
+            np.copyto(self._slip_m, length(grasped.grip_in_tool_m - self._slip_from_m), where=grasped.holding)
+            np.copyto(self._slip_from_m, grasped.grip_in_tool_m, where=~grasped.holding[..., None])
+        else:
+            self._slip_from_m[...] = grasped.grip_in_tool_m
+
+    def lost(self, now: Facts) -> Number:
+        """Return the rows whose block fell, or cannot be reached."""
+        return now.lost
+
+    def values(self, measured: HandoverMeasured) -> dict[str, Any]:
+        """Return the values of `info`."""
+        return {
+            "giver": self.first.copy(),
+            "object_m": measured.block_m,
+            "object_error_m": self._error_m,
+            "object_error_rad": self._error_rad,
             "slip_m": self._slip_m.copy(),
         }
-        earned = np.empty((self.n, 2, len(self.weights)))
-        earned[..., :-1] = stages.terms.reshape(2 * self.n, -1).take(self._by_role, axis=0)
-        finish = np.maximum(self._steps - self._count, 0) * (terminal & ~lost)
-        earned[..., -1] = finish[:, None]
-        return Outcome(earned, placed & ~lost & (terminal | over), over & ~terminal, info, terminal)
 
     def failure(self, row: int, outcome: Outcome) -> str:
         """Return the name of the failure: the block fell from the table, or lies where no arm can reach it."""

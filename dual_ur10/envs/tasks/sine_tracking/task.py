@@ -9,7 +9,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from dual_ur10.assets.settings import home_q_rad
-from dual_ur10.envs.tasks.agent_observations import AgentObservations
+from dual_ur10.envs.tasks.geometry import Goal, GoalSteps, Tracked, Tracking, frame_of
 from dual_ur10.envs.tasks.observation_layout import (
     ARM_FIELDS,
     Field,
@@ -25,44 +25,36 @@ from dual_ur10.envs.tasks.sine_tracking.settings import (
     sample_path,
 )
 from dual_ur10.envs.tasks.task import Outcome, Task, Timing
-from dual_ur10.kernel import RowLoop, Struct
 from dual_ur10.kinematics import nearest
-from dual_ur10.kinematics.forward import links
 from dual_ur10.kinematics.frames import Frames
-from dual_ur10.kinematics.rotations import quat_conjugate, quat_multiply, quat_to_matrix
+from dual_ur10.kinematics.poses import Poses
+from dual_ur10.kinematics.rotations import quat_to_matrix
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.types import Array, Rows
 
-# Distance at which a term is 0.1: position errors of both flanges, angles of both, error of the vector between them.
-_MARGINS = np.array([0.01, 0.01, 0.02, 0.02, 0.005])
+# Distance at which a term is 0.1: position error of a flange, its angle, error of the vector between the flanges.
+_MARGINS = 0.01, 0.02, 0.005
 # Distances at which a third of the term "approach" is halved: success, the margins' order, and the workspace.
-_SCALES_M = np.array([0.003, 0.03, 0.3])
+_SCALES_M = 0.003, 0.03, 0.3
+_NOW_AHEAD_NOW = np.array([0, 1, 0])[:, None, None]
 _LEVER_M = 0.5  # distance that an angle counts as, per rad: the ratio of the margins
 
 
 class SineMeasured(NamedTuple):
-    """Reference and errors at one instant.
+    """References and errors at one instant.
 
     Attributes:
         reference_base_m: (n, 2, 3) reference positions of the flanges in each arm's own `base` frame.
         ahead_base_m: (n, 2, 3) references at the end of the next motion in that frame.
-        rotation: (n, 2, 3) rotation from flange to reference in that frame: twice the vector part of its quaternion,
-            which is the rotation vector as long as it is small.
         reference_m: (n, 2, 3) reference positions of the flanges in the cell frame.
-        error_m: (n, 2, 3) reference minus flange, in the cell frame.
-        sizes: (n, 5) position errors of both flanges, m, rotations of both, rad, and the error of the vector between
-            them, m.
-        terms: (n, 2, 4) reward terms of each arm.
+        errors: Errors of the flanges; rotations in their own `base` frames.
     """
 
     reference_base_m: Array
     ahead_base_m: Array
-    rotation: Array
     reference_m: Array
-    error_m: Array
-    sizes: Array
-    terms: Array
+    errors: Tracked
 
 
 class SineTracking(Task[SineSettings, SineMeasured]):
@@ -201,51 +193,16 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         self._check = path_check(cell.measured_scene, self.limits, cell.minimum_clearance_m, cell.uncertainty)
         self._check(settings)
         frames = Frames(mounts)
-        self._base_m, self._to_base = frames.base_m, frames.rotation
-        self._agents = AgentObservations(
-            "SineAgents",
-            "sine_agents",
-            self.layout.size,
-            self.agent_layout_for(settings).size,
-            pose=self.layout.indices(["flange_base_m"])[0],
-            others=frames.others_pose,
-        )
-        # Quaternion from flange to reference = this matrix times the flange's quaternion.
-        unit = np.eye(4)
-        columns = [quat_multiply(TOOL_DOWN_QUAT, quat_conjugate(unit[k])) for k in range(4)]
-        self._to_reference: Array = np.ascontiguousarray(np.array(columns))
+        self._base_m, self._to_base, self._others = frames.base_m, frames.rotation, frames.others_pose
+        self._track = Tracking(n, np.stack([TOOL_DOWN_QUAT] * 2), _MARGINS, _SCALES_M, _LEVER_M)
         self.horizon = self._duration = max(1, math.ceil(settings.duration_s / timing.period_s - 1e-9))
-        self._center: Array = np.zeros((n, 3, 2, 3))  # in `base` twice, for now and ahead, and in the cell frame
-        self._along: Array = np.zeros((n, 3, 2, 3))  # the directions there
-        self._wave: Array = np.zeros((n, 3))  # amplitude, angular frequency, phase
-        self._input, self._output = np.zeros((n, 15)), np.zeros((n, 43))
-        struct = Struct(
-            "Sine",
-            n=n,
-            soft_start_s=settings.soft_start_s,
-            ahead_s=timing.ahead_s,
-            lever_m=_LEVER_M,
-            scales_m=_SCALES_M,
-            margins=_MARGINS,
-            to_reference=self._to_reference,
-            wave=self._wave,
-            along=self._along,
-            center_m=self._center,
-            input=self._input,
-            output=self._output,
-        )
-        self._measure = RowLoop("sine_measure", struct, n, 1)
-        self._commanded, self._ahead, self._steps = np.zeros((n, 2, 6)), np.zeros((n, 2, 3)), np.zeros((n, 2, 6))
-        steps = Struct(
-            "SineSteps",
-            n=n,
-            links=np.stack([links(mount.dh) for mount in mounts]),
-            down=quat_to_matrix(TOOL_DOWN_QUAT),
-            commanded=self._commanded,
-            ahead=self._ahead,
-            steps=self._steps,
-        )
-        self._step = RowLoop("sine_steps", steps, n, 1)
+        # Of the sine, in `base` now and ahead, and in the cell frame: centres and directions.
+        self._center: Array = np.zeros((n, 3, 2, 3))
+        self._along: Array = np.zeros((n, 3, 2, 3))
+        self._amplitude_m, self._omega, self._phase = np.zeros((n, 1)), np.zeros((n, 1)), np.zeros((n, 1))
+        self._when = np.array([0.0, timing.ahead_s])
+        self._steps = GoalSteps(n, 2, (Goal(0), Goal(1)), mounts, in_bases=True, tcp_m=(0.0, 0.0))
+        self._ahead: Array = np.tile(frame_of(Poses(np.zeros(3), TOOL_DOWN_QUAT)), (n, 2, 1))
         self._squares: Array = np.zeros((n, 2))
         self._count = np.zeros(n, dtype=np.int64)
 
@@ -266,7 +223,8 @@ class SineTracking(Task[SineSettings, SineMeasured]):
             along_base = self._to_base @ settings.direction
             self._along[row] = np.stack([along_base, along_base, np.tile(settings.direction, (2, 1))])
             self._along[row] *= settings.tracking[:, None]
-            self._wave[row] = settings.amplitude_m, 2 * math.pi * settings.frequency_hz, settings.phase_rad
+            self._amplitude_m[row], self._phase[row] = settings.amplitude_m, settings.phase_rad
+            self._omega[row] = 2 * math.pi * settings.frequency_hz
         self._squares[rows] = 0.0
         self._count[rows] = 0
         mounts = self.cell.left, self.cell.right
@@ -282,27 +240,29 @@ class SineTracking(Task[SineSettings, SineMeasured]):
 
     def measure(self, state: CellState) -> SineMeasured:
         """Compute reference and errors of all cells."""
-        n, given = len(state.time_s), self._input
-        given[:, 0] = state.time_s
-        given[:, 1:9] = state.flange_base_quat.reshape(n, 8)
-        given[:, 9:] = state.flange_m.reshape(n, 6)
-        self._measure()
-        found = self._output.copy()
-        here, ahead, rotation, reference, error = found[:, :30].reshape(n, 5, 2, 3).swapaxes(0, 1)
-        return SineMeasured(here, ahead, rotation, reference, error, found[:, 30:35], found[:, 35:].reshape(n, 2, 4))
+        time_s, away_m = state.time_s[:, None] + self._when, self._amplitude_m
+        away_m = away_m * np.sin(time_s * self._omega + self._phase)
+        begun, soft_start_s = time_s.item(0) if self.n == 1 else time_s.min(), self.settings.soft_start_s
+        if begun < soft_start_s:
+            x = np.minimum(time_s / soft_start_s, 1.0)  # exactly 1 at the end and after it
+            away_m *= x * x * x * (10.0 + x * (6.0 * x - 15.0))
+        references = self._center + away_m.take(_NOW_AHEAD_NOW, axis=1) * self._along
+        here, ahead, reference_m = references[:, 0], references[:, 1], references[:, 2]
+        errors = self._track(state.flange_m, state.flange_base_quat, reference_m)
+        return SineMeasured(here, ahead, reference_m, errors)
 
     def observe(self, state: CellState, measured: SineMeasured, commanded_q_rad: Array) -> Array:
         """Assemble the observations, (n, 80)."""
-        self._commanded[:], self._ahead[:] = commanded_q_rad, measured.ahead_base_m
-        self._step()
+        self._ahead[..., :3] = measured.ahead_base_m
+        steps = self._steps(commanded_q_rad, self._ahead)
         return self.layout.join(
             {
                 **arm_values(state, commanded_q_rad),
                 "reference_base_m": measured.reference_base_m,
                 "ahead_base_m": measured.ahead_base_m,
-                "rotation": measured.rotation,
-                "step_m": self._steps[..., :3],
-                "step_rad": self._steps[..., 3:],
+                "rotation": measured.errors.turn,
+                "step_m": steps.move_m,
+                "step_rad": steps.turn,
             }
         )
 
@@ -319,21 +279,26 @@ class SineTracking(Task[SineSettings, SineMeasured]):
 
     def observe_agents(self, observation: Array) -> Array:
         """Return each agent's own observation, (n, 2, 47), from those of both, (n, 80)."""
-        return self._agents(observation)
+        arms = self.layout.split(observation)
+        pose = np.concatenate([arms["flange_base_m"], arms["flange_base_quat"]], axis=2)
+        others = (pose[:, ::-1, None] @ self._others[:, :7])[:, :, 0] + self._others[:, 7]
+        return np.concatenate([observation.reshape(len(observation), 2, -1), others], axis=2)
 
     def evaluate(self, state: CellState, measured: SineMeasured) -> Outcome:
         """Evaluate reward terms, success and end."""
-        sizes = measured.sizes
-        self._squares += sizes[:, :2] ** 2
+        errors = measured.errors
+        terms = np.empty((self.n, 2, len(self.weights)))
+        terms[..., 0], terms[..., 1:] = errors.closeness, errors.near
+        self._squares += errors.off_m * errors.off_m
         self._count += 1
         over = self._count >= self._duration
         success = over.copy()
         if np.count_nonzero(over):
             success = over & (self._squares.max(axis=1) <= self.settings.success_rms_m**2 * self._count)
         info = {
-            "flange_error_m": sizes[:, :2],
+            "flange_error_m": errors.off_m,
             "flange_rms_m": np.sqrt(self._squares / self._count[:, None]),
-            "orientation_error_rad": sizes[:, 2:4],
+            "orientation_error_rad": errors.chord,
             "reference_m": measured.reference_m,
         }
-        return Outcome(measured.terms, success, over, info)
+        return Outcome(terms, success, over, info)

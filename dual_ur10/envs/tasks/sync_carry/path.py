@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.errors import SettingsError
-from dual_ur10.kernel import RowLoop, Struct
 from dual_ur10.kinematics.poses import Poses
+from dual_ur10.kinematics.rotations import quat_multiply
 from dual_ur10.types import Array
 
 _X, _Y, _Z, _ROLL, _PITCH, _YAW = range(6)
@@ -88,13 +88,10 @@ class CarryPath:
     """
 
     def __init__(self, duration_s: float) -> None:
-        moves = MOVES[duration_s]
+        begin, end, number, change = np.array(MOVES[duration_s]).T
         self.duration_s = duration_s
-        rows = np.zeros((len(moves), 8))
-        for row, (begin, end, number, change) in zip(rows, moves, strict=True):
-            row[0], row[1], row[2 + number] = begin, end - begin, change
-        self._moves = rows
-        self._known: dict[tuple[int, ...], tuple[Array, Array, Array, Array, RowLoop]] = {}
+        self._begin_s, self._length_s = begin, end - begin
+        self._changes = change[:, None] * (number[:, None] == np.arange(6))  # (moves, coordinates)
 
     def __call__(self, time_s: Array, start: Poses) -> Poses:
         """Return the poses at times on the path, (n, k); before 0 that of the start, after the end the last one.
@@ -109,25 +106,25 @@ class CarryPath:
         shapes = time_s.shape, start.position_m.shape, start.quat.shape
         if len(shapes[0]) != 2 or shapes[1:] != ((len(time_s), 3), (len(time_s), 4)):
             raise SettingsError(f"times and poses of a path must be (n, k), (n, 3) and (n, 4), found {shapes}")
-        times, position, quat, poses, follow = self._known.get(shapes[0]) or self._begin(*shapes[0])
-        times[:], position[:], quat[:] = time_s, *start
-        follow()
-        result = poses.copy()
-        return Poses(result[..., :3], result[..., 3:])
+        x = np.minimum(np.maximum((time_s[..., None] - self._begin_s) / self._length_s, 0.0), 1.0)
+        change = (x * x * x * (10.0 + x * (6.0 * x - 15.0))) @ self._changes
+        half = 0.5 * change[..., 3:]
+        half[..., 2] += np.arctan2(start.quat[:, 3:], start.quat[:, :1])
+        parts = np.empty((*half.shape, 2))
+        parts[..., 0], parts[..., 1] = np.cos(half), np.sin(half)
+        roll, pitch, yaw = parts[..., 0, :], parts[..., 1, :], parts[..., 2, :]
+        products = (yaw[..., :, None] * roll[..., None, :])[..., None] * pitch[..., None, None, :]
+        quat = products.reshape(*time_s.shape, 8) @ _QUAT
+        return Poses(start.position_m[:, None] + change[..., :3], quat)
 
-    def _begin(self, n: int, k: int) -> tuple[Array, Array, Array, Array, RowLoop]:
-        """Return buffers of a shape, kept for the next call, and the function that computes the poses in the last."""
-        times, position, quat, poses = np.zeros((n, k)), np.zeros((n, 3)), np.zeros((n, 4)), np.zeros((n, k, 7))
-        struct = Struct(
-            "CarryPath",
-            n=n,
-            count=k,
-            size=len(self._moves),
-            moves=self._moves,
-            time_s=times,
-            position_m=position,
-            quat=quat,
-            poses=poses,
-        )
-        self._known[n, k] = times, position, quat, poses, RowLoop("carry_path", struct, n, 1)
-        return self._known[n, k]
+
+def _products() -> Array:
+    """Return the (8, 4) table from products of cosine and sine of half yaw, roll and pitch to their quaternion."""
+    table, unit = np.zeros((2, 2, 2, 4)), np.eye(4)
+    for yaw, roll, pitch in np.ndindex(2, 2, 2):
+        turned = quat_multiply(quat_multiply(unit[3 * yaw], unit[roll]), unit[2 * pitch])
+        table[yaw, roll, pitch] = turned
+    return table.reshape(8, 4)
+
+
+_QUAT: Final = _products()

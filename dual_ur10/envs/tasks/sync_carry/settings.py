@@ -12,7 +12,7 @@ import numpy as np
 from dual_ur10.assets.props import BAR_WIDTH_M, GRIP_DISTANCE_M, GRIP_QUAT
 from dual_ur10.assets.settings import SceneSettings, home_q_rad
 from dual_ur10.assets.tool import levers_m
-from dual_ur10.envs.tasks.holding import flanges_of
+from dual_ur10.envs.tasks.geometry import flanges_of
 from dual_ur10.envs.tasks.sync_carry.path import MOVES, CarryPath
 from dual_ur10.envs.tasks.task import check_numbers
 from dual_ur10.errors import SettingsError, UnknownNameError, WorkspaceError

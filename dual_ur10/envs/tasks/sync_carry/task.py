@@ -8,11 +8,18 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from dual_ur10.assets.props import BAR, BAR_MASS_KG, BAR_WELDS, BAR_WIDTH_M
+from dual_ur10.assets.props import BAR, BAR_MASS_KG, BAR_WELDS
 from dual_ur10.assets.settings import DEFAULT_TOOLS, Equipment, home_q_rad
 from dual_ur10.assets.tool import Tool, levers_m, strokes_m
-from dual_ur10.envs.tasks.agent_observations import AgentObservations
-from dual_ur10.envs.tasks.holding import APPROACH_M, PICKING, Grasped, Grasps, flanges_of, required
+from dual_ur10.envs.tasks.geometry import (
+    APPROACH_M,
+    PICKING,
+    FrameDistances,
+    Grasped,
+    flanges_of,
+    length,
+    required,
+)
 from dual_ur10.envs.tasks.observation_layout import (
     ARM_FIELDS,
     OTHER_FLANGE_FIELDS,
@@ -26,11 +33,10 @@ from dual_ur10.envs.tasks.observation_layout import (
     wrench_fields,
     wrench_values,
 )
-from dual_ur10.envs.tasks.sync_carry.goals import agent_observations, goal_fields, goals
+from dual_ur10.envs.tasks.sync_carry.goals import CarryAgents, CarryGoals, goal_fields
 from dual_ur10.envs.tasks.sync_carry.path import CarryPath
 from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings, bar_pose, ideal_relative, path_rate
 from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Task, Timing, gaussian
-from dual_ur10.kernel import RowLoop, Struct
 from dual_ur10.kinematics import nearest
 from dual_ur10.kinematics.frames import ArmMount, Frames
 from dual_ur10.kinematics.poses import Poses, compose
@@ -42,6 +48,8 @@ from dual_ur10.types import Array, Mask, Rows
 _GRASP_S = {True: 1.5, False: 5.0}  # time before the path begins: rigid, friction
 _SETTLE_S = 1.0  # time after it
 _LOAD_S = 1.0  # in which the declared load ramps up before the lift, and down after it
+_POSES = 3
+_BAR, _REFERENCE, _AHEAD = range(_POSES)  # poses that are measured
 _LOST_M = 0.15  # distance of a bar from its reference at which it is lost
 _LOAD_RATIO = 0.25  # of the load, that each arm must carry
 
@@ -54,17 +62,14 @@ class CarryMeasured(NamedTuple):
 
     Attributes:
         clock_s: (n,) time on the path, negative before it begins.
-        poses: (n, 21) poses of the bar, of its reference now, and of that at the end of the next motion: position and
-            quaternion of each.
-        grasped: Both arms and the bar; the poses are these, the rotations those of the bar and its reference.
-        holding: (n, 2) True if the gripper holds the bar.
+        bar_m: (n, 3) position of the bar.
+        grasped: Both arms, the bar, its reference now, and that at the end of the next motion.
         force_n: (n, 2, 3) force of the bar on each gripper.
     """
 
     clock_s: Array
-    poses: Array
+    bar_m: Array
     grasped: Grasped
-    holding: Mask
     force_n: Array
 
 
@@ -130,14 +135,14 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
     | 61 | completed fraction of the path | -1.01 | 1.01 | - | ratio |
 
     An agent of the two-agent environment observes its arm's 62 numbers, and behind them 23 of the goal of its tool (61 and
-    20 with `grasp="rigid"`), which follow from the joint observation: `dual_ur10.envs.tasks.tool_goals.GOAL_FIELDS`.
+    20 with `grasp="rigid"`), which follow from the joint observation: `dual_ur10.envs.tasks.agent_goals.GOAL_FIELDS`.
 
     ## Rewards
 
     The reward is the weighted sum of terms between 0 and 1, each the mean over the arms; each raw term is in `info` as
     `reward/<term>`. The terms from *position* on count only while both grippers hold the bar.
 
-    - *reach* (0.6): nearness of the tool to its goal (`dual_ur10.envs.tasks.tool_goals`), which is its grip on the bar's
+    - *reach* (0.6): nearness of the tool to its goal (`dual_ur10.envs.tasks.geometry.ToolSteps`), which is its grip on the bar's
       reference now, from behind until the gripper holds the bar.
     - *grasp* (0.2): 1 if the gripper holds the bar; until then half of its closed fraction, once to close is its goal.
     - *position* (0.05): 0.1^((distance of the bar to its reference / 30 mm)²).
@@ -236,7 +241,10 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         self._grasp_s = _GRASP_S[settings.rigid] / self._rate
         self.duration_s = self._grasp_s + settings.duration_s / self._rate + _SETTLE_S
         self.horizon = self._steps = math.ceil(self.duration_s / timing.period_s - 1e-9)
-        self._grasps = Grasps(self._frames, np.tile(self._grip.position_m, (n, 1, 1)), BAR_WIDTH_M, 3, tools)
+        mounts = (cell.left, cell.right)
+        self._goals = CarryGoals(n, settings, mounts, _POSES, (_BAR, _BAR), (_REFERENCE, _REFERENCE), tools=tools)
+        self._to_bar = FrameDistances(n, _POSES, (_BAR,))
+        self._ideal_m = ideal_relative(self._grip).position_m
         self._bar = Poses(np.zeros((n, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)))
         self._when = np.array([0.0, timing.ahead_s])
         self._count = np.zeros(n, dtype=np.int64)
@@ -246,25 +254,8 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         self._worst_slip: Array = np.zeros(n)
         self._squares: Array = np.zeros((n, 2))
         self._carried: Array = np.zeros((n, 2))
-        self._input, self._output = np.zeros((n, 79)), np.zeros((n, 17))
-        struct = Struct(
-            "Carry",
-            n=n,
-            welded=int(settings.rigid),
-            duration_s=settings.duration_s,
-            ramp_s=_LOAD_S,
-            half_kg=BAR_MASS_KG / 2,
-            ideal_m=ideal_relative(self._grip).position_m,
-            goals=goals(settings, tools),
-            input=self._input,
-            slip_from_m=np.zeros((n, 6)),
-            worst_slip_m=self._worst_slip,
-            carried_n=self._carried,
-            load_kg=self._load,
-            output=self._output,
-        )
-        self._evaluate = RowLoop("carry_evaluate", struct, n, 1)
-        self._agents = self.agents_for(settings, (cell.left, cell.right), tools)
+        self._slip_from_m: Array = np.zeros((n, 2, 3))
+        self._agents = self.agents_for(settings, mounts, tools)
 
     @classmethod
     def layout_for(cls, settings: CarrySettings) -> ObservationLayout:
@@ -310,14 +301,12 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
     def measure(self, state: CellState) -> CarryMeasured:
         """Compute poses, references and forces of all cells."""
         clock = (state.time_s[:, None] + self._when - self._grasp_s) * self._rate
-        poses = np.empty((self.n, 3, 7))
-        poses[:, 0, :3], poses[:, 0, 3:] = state.objects["bar"]
-        poses[:, 1:, :3], poses[:, 1:, 3:] = self._path(clock, self._bar)
-        flat = poses.reshape(self.n, 21)
-        grasped = self._grasps(state, flat)
-        holding = np.ones((self.n, 2), dtype=bool) if self.settings.rigid else grasped.holding
+        poses = np.empty((self.n, _POSES, 7))
+        poses[:, _BAR, :3], poses[:, _BAR, 3:] = state.objects["bar"]
+        poses[:, _REFERENCE:, :3], poses[:, _REFERENCE:, 3:] = self._path(clock, self._bar)
+        grasped = self._goals.measure(Poses(state.flange_m, required(state.flange_quat)), state.gripper_m, poses)
         force = self._frames.vector_to_cell(required(state.wrench)[..., :3])
-        return CarryMeasured(clock[:, 0], flat, grasped, holding, force)
+        return CarryMeasured(clock[:, 0], poses[:, _BAR, :3].copy(), grasped, force)
 
     def observe(self, state: CellState, measured: CarryMeasured, commanded_q_rad: Array) -> Array:
         """Assemble the observations, (n, 124), or (n, 122) with a rigid grasp."""
@@ -326,9 +315,9 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         values = {
             **arm_values(state, commanded_q_rad),
             **wrench_values(required(state.wrench)),
-            **pose_values("bar_base", in_bases[..., :7]),
-            **pose_values("reference_base", in_bases[..., 7:14]),
-            **pose_values("ahead_base", in_bases[..., 14:]),
+            **pose_values("bar_base", in_bases[:, :, _BAR]),
+            **pose_values("reference_base", in_bases[:, :, _REFERENCE]),
+            **pose_values("ahead_base", in_bases[:, :, _AHEAD]),
             **pose_values("other_flange", measured.grasped.other_flange),
             "time_to_path_s": per_arm(np.minimum(clock, 0.0)),
             "progress": per_arm(np.minimum(np.maximum(clock / self._path.duration_s, 0.0), 1.0)),
@@ -345,9 +334,9 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
     @classmethod
     def agents_for(
         cls, settings: CarrySettings, mounts: tuple[ArmMount, ArmMount], tools: tuple[Tool, Tool] = DEFAULT_TOOLS
-    ) -> AgentObservations:
+    ) -> CarryAgents:
         """Return the function that assembles the agents' observations from joint ones."""
-        return agent_observations(settings, cls.layout_for(settings), cls.agent_layout_for(settings), mounts, tools)
+        return CarryAgents(settings, cls.layout_for(settings), cls.agent_layout_for(settings), mounts, tools)
 
     def observe_agents(self, observation: Array) -> Array:
         """Return each agent's own observation, (n, 2, 85), or (n, 2, 81) with a rigid grasp, from those of both."""
@@ -355,43 +344,63 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
 
     def evaluate(self, state: CellState, measured: CarryMeasured) -> Outcome:
         """Evaluate reward terms, success and end."""
-        clock, grasped, poses, holding = measured.clock_s, measured.grasped, measured.poses, measured.holding
-        force, width = measured.force_n.reshape(self.n, 6), state.gripper_m
-        flanges = state.flange_m.reshape(self.n, 6), required(state.flange_quat).reshape(self.n, 8)
-        widths = np.zeros((self.n, 2)) if width is None else width  # nothing that is welded has a width
-        parts = clock[:, None], poses[:, :14], force, grasped.values[:, :42], widths, *flanges
-        np.concatenate(parts, axis=1, out=self._input)
-        self._evaluate()
-        found = self._output.copy()
-        angles = 2 * np.arctan2(found[:, 11:13], found[:, 13:15])
-        found[:, 3] = angles[:, 0]
-        bar_m, bar_rad, errors = found[:, 2], found[:, 3], found[:, 2:4]
-        begun = clock > 0.0
+        clock, grasped, settings = measured.clock_s, measured.grasped, self.settings
+        holding, begun = grasped.holding, measured.clock_s > 0.0
         both: Mask = np.logical_and.reduce(holding, axis=1)
+        bar_m, bar_rad = self._bar_errors(grasped)
+        apart_m = length(grasped.other_flange[:, 0, :3] - self._ideal_m)
+        inner = (measured.force_n[:, 0] - measured.force_n[:, 1]) / 2.0
+        along = grasped.frames[:, _BAR, 4::3]  # the bar's own y, the second column of its rotation
+        squeeze_n = np.vecdot(inner, along)
+        slip_m, load_n = self._carry(measured, begun, both)
         self._count += 1
-        self._squares += errors * errors * begun[:, None]
+        errors = np.empty((self.n, len(_MARGINS)))
+        errors[:, 0], errors[:, 1], errors[:, 2], errors[:, 3] = bar_m, bar_rad, apart_m, squeeze_n
+        followed = errors[:, :2]
+        self._squares += followed * followed * begun[:, None]
         over = self._count >= self._steps
         lost = begun & (bar_m > _LOST_M)
         success = over & ~lost
         if np.count_nonzero(success):
-            there = (bar_m <= self.settings.success_error_m) & (bar_rad <= self.settings.success_turn_rad)
+            there = (bar_m <= settings.success_error_m) & (bar_rad <= settings.success_turn_rad)
             success &= there & self._carried_well(begun & both)
+        wanted = self._goals(grasped, grasped.tools)
+        terms = np.empty((self.n, 2, len(self.weights)))
+        terms[..., 0] = wanted.steps.nearness * np.maximum(0.8 + 0.2 * grasped.opened, wanted.closes)
+        terms[..., 1] = np.maximum(0.5 * wanted.closes * grasped.closed, holding)
+        terms[..., 2:] = (gaussian(errors, _MARGINS) * both[:, None])[:, None]
         info = {
-            "slip_m": found[:, 7:9],
-            "squeeze_n": found[:, 5],
-            "lateral_n": found[:, 6],
-            "load_share": found[:, 9:11],
-            "relative_error_m": found[:, 4],
-            "relative_error_rad": angles[:, 1],
+            "slip_m": slip_m,
+            "squeeze_n": squeeze_n,
+            "lateral_n": length(inner - squeeze_n[:, None] * along),
+            "load_share": load_n / np.maximum(np.add.reduce(load_n, axis=1, keepdims=True), 1e-9),
+            "relative_error_m": apart_m,
+            "relative_error_rad": 2.0 * np.arcsin(np.minimum(length(grasped.other_flange[:, 0, 4:]), 1.0)),
             "object_error_m": bar_m,
             "object_error_rad": bar_rad,
-            "object_m": poses[:, :3],
+            "object_m": measured.bar_m,
             "clock_s": clock,
         }
-        terms = np.empty((self.n, 2, 6))
-        terms[..., 0], terms[..., 1] = found[:, :2], found[:, 15:]
-        np.multiply(gaussian(found[:, None, 2:6], _MARGINS), both[:, None, None], out=terms[..., 2:])
         return Outcome(terms, success, over & ~lost, info, lost)
+
+    def _bar_errors(self, grasped: Grasped) -> tuple[Array, Array]:
+        """Return the distance and the angle of the bar from its reference, (n,) each."""
+        self._to_bar.others[:, 0] = grasped.frames[:, _REFERENCE]
+        moved_m, chord, _ = self._to_bar(grasped.frames)
+        return moved_m[:, 0], 2.0 * np.arcsin(np.minimum(0.5 * chord[:, 0], 1.0))
+
+    def _carry(self, measured: CarryMeasured, begun: Mask, both: Mask) -> tuple[Array, Array]:
+        """Update slips and loads since the lift; return those now, (n, 2) each."""
+        clock, grip_m = measured.clock_s, measured.grasped.grip_in_tool_m
+        np.copyto(self._slip_from_m, grip_m, where=~begun[:, None, None])
+        slip_m = length(grip_m - self._slip_from_m)
+        self._worst_slip = np.maximum(self._worst_slip, np.maximum.reduce(slip_m, axis=1)) * begun
+        load_n = np.maximum(-measured.force_n[..., 2], 0.0)
+        under_way = clock < self.settings.duration_s
+        self._carried += load_n * (begun & under_way)[:, None]
+        due = (clock > -_LOAD_S) & under_way & both
+        self._load[...] = (due * (BAR_MASS_KG / 2))[:, None]
+        return slip_m, load_n
 
     def failure(self, row: int, outcome: Outcome) -> str:
         """Return the name of the only failure: the bar was dropped, or never lifted."""

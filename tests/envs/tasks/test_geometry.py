@@ -4,7 +4,7 @@ import numpy as np
 
 from dual_ur10 import ArmMount
 from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
-from dual_ur10.envs.tasks.holding import Grasps
+from dual_ur10.envs.tasks.geometry import Grasps, frame_of
 from dual_ur10.kinematics.frames import Frames
 from dual_ur10.kinematics.poses import Poses, compose, relative_to
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_to_matrix
@@ -29,7 +29,7 @@ def measured(grip_m, rng, near=False):
     state = CellState(
         np.zeros(N), zeros, zeros, zeros[..., :3], quat, flange_m, np.zeros(N, dtype=bool), quat, width_m, zeros
     )
-    return state, poses, Grasps(FRAMES, grip_m, WIDTH_M, 3)(state, poses.reshape(N, 21))
+    return state, poses, Grasps(FRAMES, grip_m, WIDTH_M, 3)(Poses(flange_m, quat), width_m, poses)
 
 
 def test_poses_follow_from_compositions():
@@ -42,8 +42,9 @@ def test_poses_follow_from_compositions():
     tool = compose(flange, Poses(np.array([0.0, 0.0, TOOL.tcp_m]), np.eye(4)[0]))
     grip = compose(Poses(poses[:, :1, :3], poses[:, :1, 3:]), Poses(grip_m, np.eye(4)[0]))
     assert np.allclose(found.grip_in_tool_m, relative_to(tool, grip).position_m, atol=1e-13)
-    assert np.allclose(found.rotations, quat_to_matrix(poses[:, :2, 3:]), atol=1e-13)
-    in_bases = found.in_bases.reshape(N, 2, 3, 7)
+    assert np.allclose(found.frames, frame_of(Poses(poses[..., :3], poses[..., 3:])), atol=1e-13)
+    assert np.allclose(found.tools, frame_of(tool), atol=1e-13)
+    in_bases = found.in_bases
     for k in range(3):
         both = np.repeat(poses[:, k, None], 2, axis=1)
         assert np.allclose(in_bases[:, :, k, :3], FRAMES.position_to_base(both[..., :3]), atol=1e-13)

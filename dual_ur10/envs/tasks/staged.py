@@ -1,0 +1,194 @@
+"""Base of tasks that go through stages: conditions, reward terms, order, settling and end."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, ClassVar, Final, Generic, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dual_ur10.envs.tasks.geometry import Number
+from dual_ur10.envs.tasks.task import MeasuredT, Outcome, SettingsT, Task, Timing
+from dual_ur10.sim2real.config.cell import CellConfig, CellState
+from dual_ur10.types import Array, Mask, Rows
+
+NowT = TypeVar("NowT")
+Progress = Number | tuple[Number, Number]
+StageMethod = Callable[[Any, Any], tuple[Number, Progress]]
+
+FINISH: Final = "finish"
+"""Reward term of success: the number of steps that remain when an episode ends with it."""
+
+
+class _Stage(NamedTuple):
+    """Stage of a task, as its method is decorated.
+
+    Attributes:
+        weight: Weight of its reward term.
+        earned: Largest value of the term for each role.
+        early: Roles that earn progress before the stage begins.
+    """
+
+    weight: float
+    earned: tuple[float, float]
+    early: tuple[bool, bool]
+
+
+def stage(
+    weight: float, earned: tuple[float, float] = (1.0, 1.0), early: tuple[bool, bool] = (False, False)
+) -> Callable[[StageMethod], StageMethod]:
+    """Make a method of a `StagedTask` its next stage, and its name that of a reward term.
+
+    The method gets what `StagedTask.facts` returns: arrays, or plain numbers of one cell if the task prefers them. It
+    returns a mask, (n,), of the rows in which the stage is passed now, and the progress towards that, 0 to 1: (n,) for
+    the first and for the second role, or one for both. It must keep no state: rows that are not at this stage are
+    evaluated, too, or not at all.
+
+    Args:
+        weight: Weight of the reward term.
+        earned: Value of the term of each role once the stage is passed, and factor of its progress until then.
+        early: Roles that earn progress from the first step on, and not only once the stage before is passed.
+    """
+
+    def mark(method: StageMethod) -> StageMethod:
+        method.stage = _Stage(weight, earned, early)  # type: ignore[attr-defined]
+        return method
+
+    return mark
+
+
+class StagedTask(Task[SettingsT, MeasuredT], Generic[SettingsT, MeasuredT, NowT]):
+    """Task whose episodes pass stages in their order; several are passed at once if their conditions hold.
+
+    A subclass decorates one method per stage with `stage`, in order. Each is a reward term: its largest value once the
+    stage is passed, which is never lost, and progress while it is the next one. The term `FINISH` replaces the reward
+    of the steps that success spares. `info["stage"]` is the number of stages passed.
+
+    An arm has a role: first or second. Without `begin_rows(rows, first)` the left arm is first.
+
+    Attributes:
+        stages: Names of the stages.
+        weights: Weights of their terms, and that of `FINISH`, 1.
+        settled_s: Time for which the last stage's condition must hold, in a row, before the episode ends with success.
+        duration_s: Time of an episode.
+        passed: (n,) number of stages passed.
+        first: (n,) index of the arm in the first role.
+
+    Args:
+        settings: Values of the task's keywords.
+        cell: The cell.
+        timing: Rate and latency of actions.
+        n: Number of cells.
+        duration_s: Time of an episode.
+    """
+
+    settled_s: ClassVar[float] = 0.5
+    _stages: ClassVar[tuple[StageMethod, ...]] = ()
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        """Collect the stages."""
+        super().__init_subclass__(**keywords)
+        found = {name: method for each in reversed(cls.__mro__) for name, method in vars(each).items()}
+        cls._stages = tuple(method for method in found.values() if hasattr(method, "stage"))
+        cls.stages = tuple(method.__name__ for method in cls._stages)
+        cls.weights = {**{each.__name__: each.stage.weight for each in cls._stages}, FINISH: 1.0}  # type: ignore[attr-defined]
+
+    def __init__(self, settings: SettingsT, cell: CellConfig, timing: Timing, n: int, duration_s: float) -> None:
+        super().__init__(settings, cell, timing, n)
+        self.duration_s = duration_s
+        self.horizon = self._steps = max(1, math.ceil(duration_s / timing.period_s - 1e-9))
+        self._settled_steps = max(1, math.ceil(self.settled_s / timing.period_s - 1e-9))
+        marks: list[_Stage] = [each.stage for each in self._stages]  # type: ignore[attr-defined]
+        earned, early = (np.array(each).T for each in zip(*[mark[1:] for mark in marks], strict=True))
+        self._early = np.logical_or.reduce(early, axis=0).tolist()
+        # By the number of stages passed, (stages + 1, 2, stages): factors of progress, and terms of passed stages.
+        passed, number = np.arange(len(marks) + 1)[:, None, None], np.arange(len(marks))
+        self._due: Array = np.where(early, passed <= number, passed == number) * earned
+        self._earned: Array = (passed > number) * earned
+        self.passed = np.zeros(n, dtype=np.int64)
+        self.first = np.zeros(n, dtype=np.int64)
+        self._arms: Rows = np.arange(2 * n).reshape(n, 2)  # of each role, among the arms of all rows; and back
+        self._roles: Rows = self._arms.T.copy()
+        self._count, self._settled = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
+
+    def begin_rows(self, rows: Rows, first: Sequence[int] | Rows | int = 0) -> None:
+        """Begin episodes in `rows`, with these arms in the first role. Call it in `start`."""
+        self.first[rows] = first
+        self._arms[rows] = 2 * rows[:, None] + np.stack([self.first[rows], 1 - self.first[rows]], axis=1)
+        self._roles = self._arms.T.copy()
+        for counts in (self.passed, self._count, self._settled):
+            counts[rows] = 0
+
+    def by_role(self, values: NDArray[Any] | tuple[Number, Number]) -> tuple[Number, Number]:
+        """Return values of the left and the right arm, (n, 2) or two numbers, as those of first and second role."""
+        if self.n == 1:
+            left, right = values if isinstance(values, tuple) else values[0].tolist()
+            return (right, left) if self.first[0] else (left, right)
+        both = np.stack(values, axis=1) if isinstance(values, tuple) else values
+        first, second = both.take(self._roles)
+        return first, second
+
+    @abstractmethod
+    def facts(self, state: CellState, measured: MeasuredT) -> NowT:
+        """Compute what the stages, the end and the values of `info` depend on. Called once per step."""
+
+    def lost(self, now: NowT) -> Number:
+        """Return a mask of rows that end in failure, (n,)."""
+        return False
+
+    def values(self, measured: MeasuredT) -> Mapping[str, Array]:
+        """Return further values for `info`, after the stages are evaluated."""
+        return {}
+
+    def evaluate(self, state: CellState, measured: MeasuredT) -> Outcome:
+        """Evaluate stages, reward terms, success and end."""
+        now = self.facts(state, measured)
+        terms, done = self._advance(now)
+        self._count += 1
+        over = self._count >= self._steps
+        lost = np.zeros(self.n, dtype=bool)
+        lost[:] = self.lost(now)
+        if not np.count_nonzero(done):
+            self._settled[:] = 0
+            terminal, success = lost, done
+        else:
+            self._settled = (self._settled + 1) * done
+            ended = self._settled >= self._settled_steps
+            terminal = ended | lost
+            success = done & ~lost & (ended | over)
+            terms[..., -1] = (np.maximum(self._steps - self._count, 0) * (ended & ~lost))[:, None]
+        info = {"stage": self.passed.copy(), **self.values(measured)}
+        return Outcome(terms, success, over & ~terminal, info, terminal)
+
+    def _advance(self, now: NowT) -> tuple[Array, Mask]:
+        """Pass stages, and return the terms of the arms, (n, 2, stages + 1), and the rows that passed all, (n,)."""
+        passed, count = self.passed, len(self._stages)
+        progress, done = np.zeros((self.n, 2, count)), np.zeros(self.n, dtype=bool)
+        least, most = self._passed_by_rows()
+        for number, method in enumerate(self._stages):
+            last = number == count - 1 and most == count
+            if not (least <= number <= most or last or self._early[number]):
+                continue  # no row is at this stage, or comes to it in this step
+            condition, both = method(self, now)
+            if condition is not False:
+                passed += condition & (passed == number)
+                least, most = self._passed_by_rows()
+            first, second = both if isinstance(both, tuple) else (both, both)
+            progress[:, 0, number], progress[:, 1, number] = first, second
+            if number == count - 1:
+                done = condition & (passed == count)
+        progress *= self._due.take(passed, axis=0)
+        progress += self._earned.take(passed, axis=0)
+        terms = np.zeros((self.n, 2, count + 1))
+        terms[..., :-1] = progress.reshape(2 * self.n, count).take(self._arms, axis=0)
+        return terms, done
+
+    def _passed_by_rows(self) -> tuple[int, int]:
+        """Return the smallest and the largest number of stages passed."""
+        if self.n == 1:
+            passed = self.passed.item(0)
+            return passed, passed
+        return int(self.passed.min()), int(self.passed.max())

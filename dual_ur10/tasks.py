@@ -20,6 +20,7 @@ from dual_ur10.envs.tasks.observation_layout import (
     pose_fields,
     pose_values,
 )
+from dual_ur10.envs.tasks.staged import StagedTask, stage
 from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Task, Timing, check_numbers, gaussian
 from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics.frames import Frames
@@ -54,6 +55,7 @@ __all__ = [
     "SceneRequirements",
     "ScriptedPolicy",
     "SettingsError",
+    "StagedTask",
     "Start",
     "Task",
     "TaskSettings",
@@ -66,4 +68,5 @@ __all__ = [
     "pose_fields",
     "pose_values",
     "register",
+    "stage",
 ]

@@ -41,7 +41,8 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
     Args:
         task: Id of the environment, or a shorter name.
         render_mode: None, "rgb_array" or "human".
-        reward: "shared": the reward of both together; "individual": each agent's own, whose mean that is.
+        reward: "shared": the reward of both together; "individual": each agent's own, whose mean that is;
+            "sparse": that of the success of both.
         max_cycles: Steps after which episodes are truncated; None: only the task ends them.
         **keywords: Keywords of every environment, `dual_ur10.envs.core.options.EnvOptions`, and of the task. Pixels are
             not observed.
@@ -69,7 +70,7 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
     ) -> None:
         from dual_ur10.envs.api.dual_arm_env import DualArmEnv, info_of, numbers_of  # loads MuJoCo
 
-        check_options(reward, keywords)
+        keywords = check_options(reward, keywords)
         check_count("max_cycles", max_cycles, optional=True)
         self._env = DualArmEnv(task, render_mode=render_mode, **keywords)
         self._info_of, self._numbers_of = info_of, numbers_of

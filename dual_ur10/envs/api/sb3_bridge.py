@@ -259,7 +259,7 @@ class TwoAgentVecEnv(CellsVecEnv):
     Args:
         task: Id of the environment, or a shorter name.
         num_cells: Number of cells, n.
-        reward: "shared" or "individual", as for `DualArmParallelEnv`.
+        reward: "shared", "individual" or "sparse", as for `DualArmParallelEnv`.
         **keywords: Keywords of `CellsVecEnv`.
 
     Raises:
@@ -268,7 +268,7 @@ class TwoAgentVecEnv(CellsVecEnv):
     """
 
     def __init__(self, task: str, num_cells: int = 1, *, reward: str = "shared", **keywords: Any) -> None:
-        check_options(reward, keywords)
+        keywords = check_options(reward, keywords)
         super().__init__(task, num_cells, 2, **keywords)
         self._splitter = AgentSplitter(self.cells.core, reward)
 

@@ -15,12 +15,13 @@ from dual_ur10.types import Array
 if TYPE_CHECKING:
     from dual_ur10.envs.core.core import Core
 
-RewardKind = Literal["shared", "individual"]
-"""Reward of an agent: "shared", that of both together; "individual", its own. The mean of both is the shared one."""
+RewardKind = Literal["shared", "individual", "sparse"]
+"""Reward of an agent: "shared", that of both together; "individual", its own, whose mean that is; or
+"sparse", that of the environment's `reward="sparse"`, shared."""
 
 
-def check_options(reward: str, keywords: Mapping[str, Any]) -> None:
-    """Check the options of an environment of two agents.
+def check_options(reward: str, keywords: Mapping[str, Any]) -> dict[str, Any]:
+    """Check the options of an environment of two agents, and return the keywords of its cells.
 
     Raises:
         UnknownNameError: `reward` is no `RewardKind`.
@@ -33,6 +34,7 @@ def check_options(reward: str, keywords: Mapping[str, Any]) -> None:
             f"observation is {keywords['observation']!r}: two agents observe numbers only, observation='state'. For "
             "pixel observations use gym.make, for images of the scene render_mode='rgb_array'"
         )
+    return {**keywords, **({"reward": reward} if reward == "sparse" else {})}
 
 
 def agent_spaces(core: Core) -> tuple[list[Any], list[Any]]:

@@ -6,7 +6,7 @@ import copy
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
@@ -34,8 +34,6 @@ from dual_ur10.types import Array, Mask, Rows
 
 PHYSICS_ERROR = "the simulation diverged: the observation is that of the last good instant"
 """Text of `info["physics_error"]`."""
-
-_REFUSAL: Final = -1.0  # weight of a step in which the gate brakes: what the best step earns
 
 
 class Agents(NamedTuple):
@@ -161,7 +159,8 @@ class Core:
         self.pipeline = ServojPipeline(adapter, gate, held=setup.options.held_arm, proximity=proximity)
         self.task = setup.make_task(n)
         self._clearance = clearance
-        self.weights = {**self.task.weights, **({"refusal": _REFUSAL} if self._brakes else {})}
+        self.weights = setup.weights
+        self._is_sparse = setup.options.reward == "sparse"
         self._weights = np.array(list(self.weights.values()))
         self._terms = [f"reward/{name}" for name in self.weights]
         self._refused = np.zeros(n, dtype=bool)  # since the reset
@@ -297,11 +296,7 @@ class Core:
         self.late_actions += period.late
         measured = self.task.measure(state)
         outcome = self.task.evaluate(state, measured)
-        terms_of_arms, refused = outcome.terms, list(verdicts)
-        if self._brakes:
-            terms_of_arms = self._with_refusals(terms_of_arms, refused)
-        terms = np.add.reduce(terms_of_arms, axis=1) / 2
-        reward: Array = np.add.reduce(terms * self._weights, axis=1)
+        refused = list(verdicts)
         terminated, success = state.failed.copy(), outcome.success
         if refused:
             self._refused[refused] = True
@@ -313,6 +308,9 @@ class Core:
             success = success & ~(terminated | self._refused)
         if outcome.terminal is not None:
             terminated |= outcome.terminal
+        terms_of_arms = self._all_terms(outcome.terms, refused, success)
+        terms = (terms_of_arms[:, 0] + terms_of_arms[:, 1]) / 2
+        reward: Array = np.add.reduce(terms * self._weights, axis=1)
         info = self._measurements(state)
         info.update(outcome.info)
         info["is_success"] = success
@@ -333,11 +331,17 @@ class Core:
             self._hook.step(action, command, step, period, early_end(step.details(0)))
         return step
 
-    def _with_refusals(self, terms: Array, refused: list[int]) -> Array:
-        """Return the terms of the arms with that of refusals, (n, 2, terms + 1)."""
-        result = np.zeros((*terms.shape[:2], terms.shape[2] + 1))
-        result[..., :-1] = terms
-        result[refused, :, -1] = 1.0
+    def _all_terms(self, terms: Array, refused: list[int], success: Mask) -> Array:
+        """Return the terms of the arms with those of refusals and success, as far as there are weights for them."""
+        count = terms.shape[2]
+        if count == len(self._weights):
+            return terms
+        result = np.zeros((self.n, 2, len(self._weights)))
+        result[..., :count] = terms
+        if self._brakes and refused:
+            result[refused, :, count] = 1.0
+        if self._is_sparse:
+            result[..., -1] = success[:, None]
         return result
 
     def _end(self, row: int, state: CellState, verdicts: dict[int, Verdict], outcome: Outcome, success: Mask) -> str:

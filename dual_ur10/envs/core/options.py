@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+import numbers
 import os
 from collections.abc import Callable, Mapping
 from typing import Any, Final, Literal, get_args
@@ -27,6 +29,7 @@ MOVE_TO_START: Final = "move_to_start"
 ObservationKind = Literal["state", "pixels", "both", "flat"]
 ObservationDtype = Literal["float64", "float32"]
 OnRefusal = Literal["brake", "terminate"]
+RewardForm = Literal["dense", "sparse"]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -34,7 +37,7 @@ class EnvOptions:
     """Keywords of every environment.
 
     Raises:
-        UnknownNameError: `robot`, `observation` or `observation_dtype` is not one of its names.
+        UnknownNameError: `robot`, `observation`, `observation_dtype` or `reward` is not one of its names.
         SettingsError: `cameras` is empty or names a camera twice, or a value has the wrong type.
 
     Attributes:
@@ -55,6 +58,11 @@ class EnvOptions:
             of the cell brake, and the episode continues from rest. Each step of the brake costs a reward of 1, and the
             episode cannot succeed, because on two controllers it would have ended. None: "brake" in simulation, so that
             exploration is not cut short, and "terminate" on two controllers, where nothing else is possible.
+        reward: "dense", the weighted sum of the task's terms; or "sparse": 1 in the step that ends an episode with
+            success, and 0 in all others, so that the return of an episode is 1 or 0. Its term is named "success"; those
+            of the task, and that of refusals, stay in `info` and count nothing.
+        reward_weights: Weights of terms by their names, in place of the task's own; "refusal" is one of them where
+            refusals do not end episodes. None: the task's.
         randomization: Variation from episode to episode: a name of
             `dual_ur10.envs.core.randomization.PRESETS`, a mapping of single values, or a `Randomization`.
         observation: "state" gives an array; "pixels" a dict of images by camera; "both" a dict with `state` and
@@ -86,6 +94,8 @@ class EnvOptions:
     action_latency_ticks: int | None = None
     compensate_lag: bool = True
     on_refusal: OnRefusal | None = None
+    reward: RewardForm = "dense"
+    reward_weights: Mapping[str, float] | None = None
     randomization: object = "none"
     observation: ObservationKind = "state"
     observation_dtype: ObservationDtype = "float64"
@@ -130,6 +140,10 @@ class EnvOptions:
             raise UnknownNameError("observation_dtype", str(self.observation_dtype), get_args(ObservationDtype))
         if self.on_refusal is not None and self.on_refusal not in get_args(OnRefusal):
             raise UnknownNameError("on_refusal", str(self.on_refusal), [*get_args(OnRefusal), "None"])
+        if self.reward not in get_args(RewardForm):
+            raise UnknownNameError("reward", str(self.reward), get_args(RewardForm))
+        if self.reward_weights is not None:
+            object.__setattr__(self, "reward_weights", _checked_weights(self.reward_weights, self.reward))
         if not isinstance(self.cameras, str | tuple | list):
             raise SettingsError(f"cameras are {self.cameras!r}: name one, or several in a tuple")
         cameras = (self.cameras,) if isinstance(self.cameras, str) else tuple(self.cameras)
@@ -161,6 +175,18 @@ class EnvOptions:
     def latency_ticks(self, cell: CellConfig) -> int:
         """Return the latency of actions in this cell, in ticks."""
         return cell.latency_ticks if self.action_latency_ticks is None else self.action_latency_ticks
+
+
+def _checked_weights(weights: object, reward: str) -> dict[str, float]:
+    """Return weights as plain floats."""
+    if reward == "sparse":
+        raise SettingsError('reward_weights have no effect with reward="sparse": leave out one of both')
+    if not isinstance(weights, Mapping):
+        raise SettingsError(f"reward_weights are {weights!r:.200}: they must be a mapping, such as {{'refusal': 0.0}}")
+    for name, value in weights.items():
+        if isinstance(value, bool) or not isinstance(value, numbers.Real) or not math.isfinite(value):
+            raise SettingsError(f"reward_weights[{name!r}] is {value!r}: it must be a finite number")
+    return {name: float(value) for name, value in weights.items()}
 
 
 def _check_about(about: object) -> None:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
 from dual_ur10.assets.settings import Equipment, default_mount
 from dual_ur10.envs.core.options import MOVE_TO_START, OPTION_NAMES, EnvOptions
 from dual_ur10.envs.core.randomization import Randomization, resolve_randomization
 from dual_ur10.envs.tasks.task import SceneRequirements, Task, Timing
-from dual_ur10.errors import ResetRefusedError, SettingsError, UnknownKeywordError
+from dual_ur10.errors import ResetRefusedError, SettingsError, UnknownKeywordError, UnknownNameError
 from dual_ur10.ids import TASKS, env_id_of, load_object
 from dual_ur10.sim2real.config.cell import CellConfig, HostedCell
 from dual_ur10.sim2real.config.cell_file import resolve_cell
@@ -18,6 +18,15 @@ from dual_ur10.sim2real.config.perturbation import Perturbation
 from dual_ur10.sim2real.control.adapter import ServojAdapter
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.processes.system import LOCAL, System
+
+REFUSAL: Final = "refusal"
+"""Reward term of a step in which the safety gate brakes."""
+
+REFUSAL_WEIGHT: Final = -1.0
+"""Its weight, unless another one is given: what the best step earns."""
+
+SUCCESS_TERM: Final = "success"
+"""Reward term of the step that ends an episode with success, of `reward="sparse"`."""
 
 
 def load_task(name: str) -> type[Task[Any, Any]]:
@@ -76,7 +85,7 @@ class EnvSetup:
             ignore_unknown: Accept further keywords, which have no effect.
 
         Raises:
-            UnknownNameError: There is no such environment.
+            UnknownNameError: There is no such environment, or no term that `reward_weights` names.
             UnknownKeywordError: There is no such keyword.
             SettingsError: Or one of its kinds: a value is not legal.
         """
@@ -96,7 +105,7 @@ class EnvSetup:
         tick_s, latency_ticks = config.servoj.tick_s, options.latency_ticks(config)
         ticks = config.servoj.ticks_per_action(options.policy_rate_hz)
         period_s = ticks * tick_s
-        return cls(
+        setup = cls(
             env_id=env_id,
             system=options.cell.system if isinstance(options.cell, HostedCell) else LOCAL,
             options=options,
@@ -110,12 +119,27 @@ class EnvSetup:
             latency_ticks=latency_ticks,
             timing=Timing(period_s, period_s + latency_ticks * tick_s),
         )
+        if options.reward_weights:
+            _ = setup.weights  # an unknown term is refused before anything is made
+        return setup
 
     @property
     def brakes(self) -> bool:
         """True if an episode continues after a motion that the safety gate refused."""
         wanted = self.options.on_refusal
         return not self.config.controllers if wanted is None else wanted == "brake"
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """Weight of each reward term by its name: those of the task, of refusals where they cost, and of success."""
+        found = {**self.task_type.weights, **({REFUSAL: REFUSAL_WEIGHT} if self.brakes else {})}
+        if self.options.reward == "sparse":
+            return {**dict.fromkeys(found, 0.0), SUCCESS_TERM: 1.0}
+        given = self.options.reward_weights or {}
+        unknown = next((name for name in given if name not in found), None)
+        if unknown is not None:
+            raise UnknownNameError(f"reward term of {self.env_id}", str(unknown), list(found))
+        return {**found, **given}
 
     @property
     def contacts(self) -> bool:

@@ -189,17 +189,17 @@ def goals_of(giver: int, home: Poses) -> tuple[dict[str, Goal], dict[str, Goal]]
     given, taken = (compose(Poses(MEETING_M, presented_quat(giver)), grip) for grip in grips)
     laid = compose(Poses(np.zeros(3), laid_quat(np.array(0.0))), grips[RECEIVER])
     wait = Goal(_CELL, Poses(home.position_m[1 - giver], home.quat[1 - giver]))
-    show, drawn_back = Goal(_CELL, given), Goal(_CELL, compose(given, behind))
+    show, retreat = Goal(_CELL, given), Goal(_CELL, compose(given, behind))
     return (
         {
             "pick": Goal(_BLOCK, grips[GIVER], approached=True),
             "lift": Goal(TOOL),
             "present": show,
             "take": show,
-            "release": drawn_back,
+            "release": retreat,
             "open": Goal(_CELL, given, further_m=APPROACH_M),
-            "place": drawn_back,
-            "leave": drawn_back,
+            "place": retreat,
+            "leave": retreat,
         },
         {
             "pick": wait,

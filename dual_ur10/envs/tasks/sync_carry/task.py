@@ -351,11 +351,11 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         apart_m = length(grasped.other_flange[:, 0, :3] - self._ideal_m)
         inner = (measured.force_n[:, 0] - measured.force_n[:, 1]) / 2.0
         along = grasped.frames[:, _BAR, 4::3]  # the bar's own y, the second column of its rotation
-        squeeze_n = np.vecdot(inner, along)
+        internal_n = np.vecdot(inner, along)
         slip_m, load_n = self._carry(measured, begun, both)
         self._count += 1
         errors = np.empty((self.n, len(_MARGINS)))
-        errors[:, 0], errors[:, 1], errors[:, 2], errors[:, 3] = bar_m, bar_rad, apart_m, squeeze_n
+        errors[:, 0], errors[:, 1], errors[:, 2], errors[:, 3] = bar_m, bar_rad, apart_m, internal_n
         followed = errors[:, :2]
         self._squares += followed * followed * begun[:, None]
         over = self._count >= self._steps
@@ -371,8 +371,8 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         terms[..., 2:] = (gaussian(errors, _MARGINS) * both[:, None])[:, None]
         info = {
             "slip_m": slip_m,
-            "squeeze_n": squeeze_n,
-            "lateral_n": length(inner - squeeze_n[:, None] * along),
+            "squeeze_n": internal_n,
+            "lateral_n": length(inner - internal_n[:, None] * along),
             "load_share": load_n / np.maximum(np.add.reduce(load_n, axis=1, keepdims=True), 1e-9),
             "relative_error_m": apart_m,
             "relative_error_rad": 2.0 * np.arcsin(np.minimum(length(grasped.other_flange[:, 0, 4:]), 1.0)),

@@ -205,7 +205,7 @@ class Follower:
     def __enter__(self) -> Follower:
         file, system = self._rig.file, self._rig.system
         if self._rate_hz == 125.0:
-            self._made = Runner(file, self._config, coupled=False, system=system)
+            self._made = Runner(file, self._config, system=system)
             self._made.begin(np.array([each.q_rad for each in self._made.statuses()]))
         else:
             self._made = PointStream(file, profile_for(self._rate_hz, self._config.servoj), system=system)

@@ -69,7 +69,7 @@ from dual_ur10.sim2real.runtime.runner import Runner
 sys.path.insert(0, sys.argv[2])
 from runner import Swing
 file = load_cell_file(sys.argv[1])
-runner = Runner(file, file.config(), coupled=False)
+runner = Runner(file, file.config())
 swing = Swing(runner)
 print("moving", runner.arms[0].name, *(each.process.pid for each in (*runner.processes, runner.supervisor)))
 sys.stdout.flush()
@@ -173,7 +173,7 @@ def stop(file, cell, code, stopped, swing_s):
         SpoiledError: This machine stalled.
     """
     try:
-        runner = Runner(file, file.config(), coupled=False)
+        runner = Runner(file, file.config())
     except STOPPED as error:
         raise SpoiledError(error) from error
     try:

@@ -41,7 +41,7 @@ def request_for(setup: EnvSetup, n: int, *, threads: int, clearance: Clearance) 
         randomized=not setup.randomization.is_none,
         varied=setup.randomization.varied,
         contacts=setup.contacts,
-        coupled=setup.task_type.coupled,
+        couples=setup.task_type.couples,
         confirm=setup.options.confirm,
         only=setup.options.arm,
         system=setup.system,

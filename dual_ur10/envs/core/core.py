@@ -287,7 +287,11 @@ class Core:
             raise
         try:
             payload_kg = self.task.payload_kg()
-            period = self._advance(cell, command if payload_kg is None else command._replace(payload_kg=payload_kg))
+            if payload_kg is not None:
+                command = command._replace(payload_kg=payload_kg)
+            if self.config.controllers:
+                command = command._replace(coupled=bool(self.task.coupled()[0]))
+            period = self._advance(cell, command)
         except CellFaulted:
             self._state = before  # a fault persists, and the next step reports it again
             raise

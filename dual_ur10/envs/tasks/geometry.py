@@ -116,12 +116,8 @@ class Grasps:
         self._flange_m, self._flange_quat = np.zeros((n, 2, 3)), np.zeros((n, 2, 4))
         self._opening_m, self._poses = np.zeros((n, 2)), np.zeros((n, objects, 7))
         # Each an array of its own: a pickled structure shares whole arrays, but no views.
-        found = Grasped(
-            *(np.zeros((n, *shape)) for shape in ((2, 12), (objects, 12), (2, 7), (2, 3))),  # type: ignore[arg-type]
-            *(np.zeros((n, 2)) for _ in range(5)),  # type: ignore[arg-type]
-            np.zeros((n, 2, objects, 7)),
-        )
-        self._found = found
+        shapes = (2, 12), (objects, 12), (2, 7), (2, 3), *[(2,)] * 5, (2, objects, 7)
+        self._found = found = Grasped._make(np.zeros((n, *shape)) for shape in shapes)
         struct = Struct(
             "Grasps",
             n=n,
@@ -432,7 +428,7 @@ Number = Any
 
 def numbers(values: NDArray[Any]) -> Sequence[Number]:
     """Return the values of k quantities, (k, n), as arrays, (n,); of one row alone as k plain numbers."""
-    return values[:, 0].tolist() if values.shape[1] == 1 else values  # type: ignore[no-any-return, return-value]
+    return values[:, 0].tolist() if values.shape[1] == 1 else values  # type: ignore[return-value]
 
 
 def ratio(value: Number) -> Number:

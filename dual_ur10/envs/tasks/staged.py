@@ -30,15 +30,23 @@ class _Stage(NamedTuple):
         weight: Weight of its reward term.
         earned: Largest value of the term for each role.
         early: Roles that earn progress before the stage begins.
+        load_kg: Mass that the gripper of each role carries at this stage; None: none is declared.
+        coupled: Both arms hold one object at this stage.
     """
 
     weight: float
     earned: tuple[float, float]
     early: tuple[bool, bool]
+    load_kg: tuple[float, float] | None
+    coupled: bool
 
 
 def stage(
-    weight: float, earned: tuple[float, float] = (1.0, 1.0), early: tuple[bool, bool] = (False, False)
+    weight: float,
+    earned: tuple[float, float] = (1.0, 1.0),
+    early: tuple[bool, bool] = (False, False),
+    load_kg: tuple[float, float] | None = None,
+    coupled: bool = False,
 ) -> Callable[[StageMethod], StageMethod]:
     """Make a method of a `StagedTask` its next stage, and its name that of a reward term.
 
@@ -51,10 +59,13 @@ def stage(
         weight: Weight of the reward term.
         earned: Value of the term of each role once the stage is passed, and factor of its progress until then.
         early: Roles that earn progress from the first step on, and not only once the stage before is passed.
+        load_kg: Mass that the gripper of each role carries from when the stage before is passed until this one is; it
+            is declared to the controllers, with a ramp. None: nothing; and nothing is declared if no stage has a load.
+        coupled: Both arms hold one object in that time; see `Task.coupled`.
     """
 
     def mark(method: StageMethod) -> StageMethod:
-        method.stage = _Stage(weight, earned, early)  # type: ignore[attr-defined]
+        method.stage = _Stage(weight, earned, early, load_kg, coupled)  # type: ignore[attr-defined]
         return method
 
     return mark
@@ -94,6 +105,7 @@ class StagedTask(Task[SettingsT, MeasuredT], Generic[SettingsT, MeasuredT, NowT]
         found = {name: method for each in reversed(cls.__mro__) for name, method in vars(each).items()}
         cls._stages = tuple(method for method in found.values() if hasattr(method, "stage"))
         cls.stages = tuple(method.__name__ for method in cls._stages)
+        cls.couples = any(each.stage.coupled for each in cls._stages)  # type: ignore[attr-defined]
         cls.weights = {**{each.__name__: each.stage.weight for each in cls._stages}, FINISH: 1.0}  # type: ignore[attr-defined]
 
     def __init__(self, settings: SettingsT, cell: CellConfig, timing: Timing, n: int, duration_s: float) -> None:
@@ -102,12 +114,17 @@ class StagedTask(Task[SettingsT, MeasuredT], Generic[SettingsT, MeasuredT, NowT]
         self.horizon = self._steps = max(1, math.ceil(duration_s / timing.period_s - 1e-9))
         self._settled_steps = max(1, math.ceil(self.settled_s / timing.period_s - 1e-9))
         marks: list[_Stage] = [each.stage for each in self._stages]  # type: ignore[attr-defined]
-        earned, early = (np.array(each).T for each in zip(*[mark[1:] for mark in marks], strict=True))
+        earned, early = (np.array(each).T for each in zip(*[mark[1:3] for mark in marks], strict=True))
         self._early = np.logical_or.reduce(early, axis=0).tolist()
         # By the number of stages passed, (stages + 1, 2, stages): factors of progress, and terms of passed stages.
         passed, number = np.arange(len(marks) + 1)[:, None, None], np.arange(len(marks))
         self._due: Array = np.where(early, passed <= number, passed == number) * earned
         self._earned: Array = (passed > number) * earned
+        # By the number of stages passed, (stages + 1, ...): loads of the roles, and whether the arms are coupled.
+        loads = [each.load_kg for each in marks]
+        self._loads_kg: Array = np.array([(0.0, 0.0) if each is None else each for each in (*loads, None)])
+        self._declares = any(each is not None for each in loads)
+        self._coupled: Mask = np.array([*(each.coupled for each in marks), False])
         self.passed = np.zeros(n, dtype=np.int64)
         self.first = np.zeros(n, dtype=np.int64)
         self._arms: Rows = np.arange(2 * n).reshape(n, 2)  # of each role, among the arms of all rows; and back
@@ -119,8 +136,9 @@ class StagedTask(Task[SettingsT, MeasuredT], Generic[SettingsT, MeasuredT, NowT]
         self.first[rows] = first
         self._arms[rows] = 2 * rows[:, None] + np.stack([self.first[rows], 1 - self.first[rows]], axis=1)
         self._roles = self._arms.T.copy()
-        for counts in (self.passed, self._count, self._settled):
-            counts[rows] = 0
+        self._declared_kg = self._declared_kg.copy()
+        for values in (self.passed, self._count, self._settled, self._declared_kg):
+            values[rows] = 0
 
     def by_role(self, values: NDArray[Any] | tuple[Number, Number]) -> tuple[Number, Number]:
         """Return values of the left and the right arm, (n, 2) or two numbers, as those of first and second role."""
@@ -130,6 +148,18 @@ class StagedTask(Task[SettingsT, MeasuredT], Generic[SettingsT, MeasuredT, NowT]
         both = np.stack(values, axis=1) if isinstance(values, tuple) else values
         first, second = both.take(self._roles)
         return first, second
+
+    def load_kg(self) -> Array | None:
+        """Return the mass that each gripper carries at the present stages; None if no stage has a load."""
+        if not self._declares:
+            return None
+        by_role = self._loads_kg.take(self.passed, axis=0)
+        loads: Array = by_role.take(self._arms)
+        return loads
+
+    def coupled(self) -> Mask:
+        """Return the rows at a stage in which both arms hold one object."""
+        return self._coupled.take(self.passed)
 
     @abstractmethod
     def facts(self, state: CellState, measured: MeasuredT) -> NowT:
@@ -160,7 +190,7 @@ class StagedTask(Task[SettingsT, MeasuredT], Generic[SettingsT, MeasuredT, NowT]
             terminal = ended | lost
             success = done & ~lost & (ended | over)
             terms[..., -1] = (np.maximum(self._steps - self._count, 0) * (ended & ~lost))[:, None]
-        info = {"stage": self.passed.copy(), **self.values(measured)}
+        info: dict[str, Any] = {"stage": self.passed.copy(), **self.values(measured)}
         return Outcome(terms, success, over & ~terminal, info, terminal)
 
     def _advance(self, now: NowT) -> tuple[Array, Mask]:

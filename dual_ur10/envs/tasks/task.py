@@ -80,7 +80,9 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
     Attributes:
         limits: Motion limits of the task, in simulation and on real arms; those of an instance respect its cell.
         weights: Weight of each reward term, by its name.
-        coupled: True if both arms hold one object between them.
+        couples: True if both arms may hold one object between them; see `coupled`. The cell must know the bases of two
+            real arms well enough for that.
+        ramp_kg_s: Rate at which the declared payload follows `load_kg`.
         stages: Names of the stages that `info["stage"]` counts, or empty; 0 is before the first stage.
         settings_type: Dataclass of the task's keywords.
         layout: Fields of an observation; those of an instance depend on its settings.
@@ -99,7 +101,8 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
     limits: MotionLimits
     weights: ClassVar[Mapping[str, float]]
     stages: ClassVar[tuple[str, ...]] = ()
-    coupled: ClassVar[bool] = False
+    couples: ClassVar[bool] = False
+    ramp_kg_s: ClassVar[float] = 2.0
     settings_type: ClassVar[type[Any]]
     ranges: ClassVar[tuple[str, ...]] = ("object_range_m", "object_turn_rad")
     sampled: ClassVar[tuple[str, ...]] = (*ranges, "target_range_m", "target_turn_rad")
@@ -110,6 +113,7 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
         self.settings, self.cell, self.timing, self.n = settings, cell, timing, n
         self.limits = cell.capped(type(self).limits)
         self.layout = self.layout_for(settings).with_stroke(max(strokes_m(cell.equipment.tools)))
+        self._declared_kg: Array = np.zeros((n, 2))
 
     @classmethod
     def layout_for(cls, settings: SettingsT) -> ObservationLayout:
@@ -160,9 +164,30 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
         """Return the name of the failure for which a row is terminal, for `info["end_reason"]`."""
         return "failure"
 
-    def payload_kg(self) -> Array | None:
-        """Return the payload to set on the controllers at the end of the next period, (n, 2); None: none."""
+    def load_kg(self) -> Array | None:
+        """Return the mass that each gripper carries, (n, 2), after the last evaluation; None: it is not declared."""
         return None
+
+    def payload_kg(self) -> Array | None:
+        """Return the payload to set on the controllers at the end of the next period, (n, 2); None: none.
+
+        It follows `load_kg` at `ramp_kg_s`, because a payload that jumps makes the arms jump. Call it once per step.
+        """
+        load_kg = self.load_kg()
+        if load_kg is None:
+            return None
+        most = self.ramp_kg_s * self.timing.period_s
+        step = np.minimum(np.maximum(load_kg - self._declared_kg, -most), most)
+        self._declared_kg = self._declared_kg + step
+        return self._declared_kg
+
+    def coupled(self) -> Mask:
+        """Return the rows, (n,), whose arms hold one object between them, after the last evaluation.
+
+        On two controllers an error of their relative pose then stops both. By default, it is every row of a task that
+        `couples`.
+        """
+        return np.full(self.n, self.couples)
 
 
 def duration_ratio(wanted: MotionLimits, allowed: MotionLimits) -> float:

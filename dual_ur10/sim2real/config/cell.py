@@ -530,7 +530,7 @@ class CellRequest:
         randomized: True if anything differs from episode to episode.
         varied: Names of the values of `Perturbation` that differ from episode to episode.
         contacts: True if bodies may touch.
-        coupled: True if both arms hold one object between them.
+        couples: True if both arms may hold one object between them; commands state when they do.
         confirm: Called with a description before arms of controllers move to a start; None: the cell decides.
         only: "left" or "right": the only arm that moves; None: both may.
         system: Clock, network and threads.
@@ -546,7 +546,7 @@ class CellRequest:
     randomized: bool = False
     varied: tuple[str, ...] = ()
     contacts: bool = True
-    coupled: bool = False
+    couples: bool = False
     confirm: Callable[[str], bool] | None = None
     only: str | None = None
     system: System = LOCAL

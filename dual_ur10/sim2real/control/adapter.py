@@ -70,12 +70,14 @@ class Command(NamedTuple):
         payload_kg: (n, 2) mass in each gripper at the end of the period, as set in the controller, which ramps to it
             linearly; None: unchanged.
         scaling: Largest time scaling of both arms from here on, for their distances; a simulated cell has none.
+        coupled: Both arms hold one object between them, from here on; only two controllers need to know.
     """
 
     targets_rad: Array
     gripper_m: Array | None = None
     payload_kg: Array | None = None
     scaling: float = 1.0
+    coupled: bool = False
 
 
 class ServojAdapter:

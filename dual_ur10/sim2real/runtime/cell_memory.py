@@ -16,7 +16,7 @@ _TEXT: Final = 2048
 _SCALINGS: Final = 4  # kept, so that readers find a complete one while the next is written
 _TRIES: Final = 1000
 _REASONS: Final = tuple(f"reason {number}" for number in range(16))  # more than writers at the same time
-_SEQUENCE, _FAULT, _LIVE, _CLOSING, _READY, _REDUCED, _SUPERVISOR, _BEGUN, _TAKEN = range(9)
+_SEQUENCE, _FAULT, _LIVE, _CLOSING, _READY, _REDUCED, _SUPERVISOR, _BEGUN, _TAKEN, _COUPLED = range(10)
 _SUPERVISOR_S, _FRESH, _BEGIN_S, _PROXIMITY = range(4)
 _LAYOUT: Final[Layout] = {
     "ints": (np.int64, (16,)),
@@ -67,6 +67,10 @@ class CellMemory:
         if live:  # else a reader that has just seen `live` would take a wrong number for it
             self._floats[_FRESH] = fresh
         self._ints[_LIVE] = live
+
+    def couple(self, coupled: bool) -> None:
+        """Set whether both arms hold one object between them."""
+        self._ints[_COUPLED] = coupled
 
     def limit_scaling(self, most: float) -> None:
         """Set the largest time scaling at the distances ahead."""
@@ -163,6 +167,11 @@ class CellMemory:
     def allow_reduced(self) -> bool:
         """True if arms may continue in reduced mode."""
         return bool(self._ints[_REDUCED])
+
+    @property
+    def coupled(self) -> bool:
+        """True while both arms hold one object between them."""
+        return bool(self._ints[_COUPLED])
 
     @property
     def fresh(self) -> float:

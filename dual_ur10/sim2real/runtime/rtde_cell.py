@@ -69,7 +69,7 @@ class RtdeCell:
         limits: Limits of the task in task time, from which the gate's brake follows.
         clearance: Computes the distances of the approach.
         latency_ticks: Latency L of commands.
-        coupled: Both arms hold one object.
+        couples: Both arms may hold one object between them; commands state when they do.
         confirm: Called with a description before the arms move to a start; None: real arms need a yes at the terminal,
             emulated ones none.
         only: "left" or "right": the only arm that moves; None: both.
@@ -93,13 +93,13 @@ class RtdeCell:
         limits: MotionLimits,
         clearance: Clearance,
         latency_ticks: int,
-        coupled: bool = False,
+        couples: bool = False,
         confirm: Confirm | None = None,
         only: str | None = None,
         system: System = LOCAL,
     ) -> None:
         self.system = system
-        self.config, self.file = config, _checked_file(config, latency_ticks, coupled)
+        self.config, self.file = config, _checked_file(config, latency_ticks, couples)
         self.ticks, self.latency_ticks = ticks, int(latency_ticks)
         self._warned_late = False
         self._tick_s = config.servoj.tick_s
@@ -127,7 +127,7 @@ class RtdeCell:
         self._relax = system.hurry()  # this program owes actions in time, also while a training fills the machine
         try:
             self._garbage.collect()  # before any thread waits for an answer: in a large program it takes half a second
-            self._runner: Runner | None = self._connected(coupled)
+            self._runner: Runner | None = self._connected()
         except BaseException:
             self._let_go()
             raise
@@ -138,7 +138,7 @@ class RtdeCell:
             self.close()
             raise
 
-    def _connected(self, coupled: bool) -> Runner:
+    def _connected(self) -> Runner:
         """Return a new runner. Where this machine delays emulated controllers, try again: nothing has moved.
 
         Raises:
@@ -147,7 +147,7 @@ class RtdeCell:
         left = _TRIES
         while True:
             try:
-                return Runner(self.file, self.config, coupled=coupled, system=self.system)
+                return Runner(self.file, self.config, system=self.system)
             except (LinkError, StartError) as error:
                 left -= 1
                 if not (left and self.file.kind == "emulated" and is_too_busy(str(error))):
@@ -195,6 +195,7 @@ class RtdeCell:
         runner.check()
         self.finish()
         runner.cell.limit_scaling(1.0)
+        runner.cell.couple(False)
         if runner.begun:
             runner.wait_for(runner.end)
             now = runner.last()
@@ -256,6 +257,7 @@ class RtdeCell:
         first = self._origin + self._elapsed + self.latency_ticks
         self._elapsed += self.ticks
         runner.cell.limit_scaling(command.scaling)
+        runner.cell.couple(command.coupled)
         if not self._targets.write(runner, first, command.targets_rad[0]):
             return self._stopped(runner, first)
         runner.cell.expect(first + self.ticks, live=True)
@@ -502,7 +504,7 @@ def _check_bases(file: CellFile) -> None:
         )
 
 
-def _checked_file(config: CellConfig, latency_ticks: int, coupled: bool) -> CellFile:
+def _checked_file(config: CellConfig, latency_ticks: int, couples: bool) -> CellFile:
     """Return the cell file of a configuration, after a check of what was asked for.
 
     Raises:
@@ -520,7 +522,7 @@ def _checked_file(config: CellConfig, latency_ticks: int, coupled: bool) -> Cell
     _check_against_file(config)
     if config.equipment.welded:
         raise SettingsError("arms that are welded to what they hold exist in simulation only: use a friction grasp")
-    if coupled:
+    if couples:
         _check_bases(config.file)
     return config.file
 
@@ -566,7 +568,7 @@ def make_rtde_cell(request: CellRequest) -> RtdeCell:
         limits=request.limits,
         clearance=request.clearance,
         latency_ticks=request.latency_ticks,
-        coupled=request.coupled,
+        couples=request.couples,
         confirm=request.confirm,
         only=request.only,
         system=request.system,

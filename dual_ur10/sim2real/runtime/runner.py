@@ -61,7 +61,6 @@ class Runner:
     Args:
         file: Cell file.
         config: Its configuration, with a task's equipment.
-        coupled: Both arms hold one object.
         system: Clock, network and processes.
 
     Attributes:
@@ -74,7 +73,7 @@ class Runner:
         LinkError: A controller cannot be reached.
     """
 
-    def __init__(self, file: CellFile, config: CellConfig, *, coupled: bool, system: System = LOCAL) -> None:
+    def __init__(self, file: CellFile, config: CellConfig, *, system: System = LOCAL) -> None:
         self.clock = system.clock
         self.file, self.tick_s = file, config.servoj.tick_s
         self._claim = Claim(file, system)
@@ -95,7 +94,7 @@ class Runner:
                 self.cell.permit_reduced_mode()
             self.arms = [ArmMemory(), ArmMemory()]
             emulated = file.kind == "emulated"
-            settings = MonitorSettings((config.left, config.right), self.tick_s, coupled, emulated)
+            settings = MonitorSettings((config.left, config.right), self.tick_s, emulated)
             with interrupts_deferred():  # no process without its being known here
                 for arm, (name, entry) in enumerate(zip(ARMS, file.arms, strict=True)):
                     connection = ArmConnection(name, entry.host, entry.profile, entry.robot, file.rt_priority, emulated)

@@ -50,13 +50,11 @@ class MonitorSettings:
     Attributes:
         mounts: Base poses and kinematics of both arms.
         tick_s: Control period of both.
-        coupled: Both arms hold one object.
         emulated: Both controllers are emulated: they run on this machine.
     """
 
     mounts: tuple[ArmMount, ArmMount]
     tick_s: float
-    coupled: bool = False
     emulated: bool = False
 
 
@@ -64,7 +62,7 @@ class SafetyMonitor:
     """Checks the states of both controllers and all processes.
 
     Args:
-        settings: Mounts, control period and coupling.
+        settings: Mounts and control period.
         arms: Memories of both arms' processes.
         cell: Memory of the cell.
         system: Processes.
@@ -155,7 +153,7 @@ class SafetyMonitor:
         other.
         """
         latest = [each for each, fresh in zip(self._latest, self._fresh, strict=True) if each is not None and fresh]
-        if not self._settings.coupled or len(latest) < len(ARMS):
+        if not self._cell.coupled or len(latest) < len(ARMS):
             return None
         self._fresh = [False for _ in ARMS]
         sent = self._sent_for_both(0) if all(memory.sent_count for memory in self._arms) else None

@@ -41,8 +41,19 @@ def facts(giving=None, receiving=None, height=0.02, meeting=0.5, placed=False):
     wider = [(each - WIDTH_M) / (0.085 - WIDTH_M) for each in opening]
     opened, closed = [min(max(each, 0.0), 1.0) for each in wider], [max(1.0 - abs(each), 0.0) for each in wider]
     clear = [min(max((each - WIDTH_M) / 0.007, 0.0), 1.0) for each in opening]
-    numbers = {"height_m": height, "off_m": meeting, "laid": placed, "lost": False}
-    return facts_of(between, holds, closes, near, opened, closed, clear, **numbers)
+    return facts_of(
+        between=between,
+        holds=holds,
+        closes=closes,
+        nearness=near,
+        opened=opened,
+        closed=closed,
+        clear=clear,
+        height_m=height,
+        off_m=meeting,
+        laid=placed,
+        lost=False,
+    )
 
 
 TASK = Core("Handover", {}).task

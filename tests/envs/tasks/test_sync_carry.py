@@ -302,10 +302,10 @@ def test_fingers_beside_the_bar_do_not_hold_it():
     infos, task = run(nearly, steps=140)
     assert max(info["reward/grasp"] for info in infos) < 0.5
     assert max(info["reward/synchrony"] for info in infos) == 0.0
-    assert not task._declared.any()
+    assert not task._declared_kg.any()
     one, task = run(let_go(1, 0), steps=140)
     assert one[-1]["reward/grasp"] == pytest.approx(0.5, abs=1e-6)
-    assert not task._declared.any()
+    assert not task._declared_kg.any()
 
 
 @pytest.mark.parametrize("keywords", [{"grasp": "rigid"}, {"randomization": "mild", "action_latency_ticks": 7}])

@@ -31,6 +31,15 @@ def test_initial_values(pair):
         assert memory.largest_scaling == 1.0
         assert (memory.begin_s, memory.supervisor_beat_s, memory.fresh) == (0.0, 0.0, 0.0)
         assert (memory.ready, memory.ending, memory.live, memory.fault) == (False, False, False, "")
+        assert memory.coupled is False
+
+
+def test_coupling_begins_and_ends(pair):
+    mine, theirs = pair
+    mine.couple(True)
+    assert theirs.coupled
+    mine.couple(False)
+    assert not theirs.coupled
 
 
 def test_opening_memory_changes_no_scaling(pair):

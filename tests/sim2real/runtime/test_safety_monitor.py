@@ -45,7 +45,8 @@ def watch(parts, *, coupled=False, mounts=MOUNTS, phase=Phase.STREAMING):
     arms, cell = parts
     for memory in arms:
         memory.enter(phase)
-    return SafetyMonitor(MonitorSettings(mounts, TICK_S, coupled), arms, cell)
+    cell.couple(coupled)
+    return SafetyMonitor(MonitorSettings(mounts, TICK_S), arms, cell)
 
 
 def at(q, wanted=None, **values):
@@ -315,7 +316,8 @@ def test_delayed_states_are_compared_with_those_of_their_time(parts):
 
 def test_an_e_series_tolerates_errors_as_long_as_a_cb3(parts):
     arms, cell = parts
-    monitor = SafetyMonitor(MonitorSettings(MOUNTS, 0.002, coupled=True), arms, cell)
+    cell.couple(True)
+    monitor = SafetyMonitor(MonitorSettings(MOUNTS, 0.002), arms, cell)
     bad = at(moved(1, (0.0, 0.02, 0.0)), HOME_Q_RAD[1])
     said = []
     for _ in range(14):

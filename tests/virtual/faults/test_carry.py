@@ -42,6 +42,16 @@ def test_52_coupled_arms_stop_on_an_error_of_their_relative_pose(lab, joint, awa
     lab.assert_stopped(error, "the arms, which hold one object, are ", "allowed are 10 mm and 3°", seen_ticks=7)
 
 
+def test_arms_are_coupled_from_the_first_action_of_an_episode(lab):
+    """Not on the way to its start, on which they hold nothing."""
+    observation, memory = lab.begin(steps=0), lab.env.unwrapped.core.cell._runner.cell
+    assert not memory.coupled
+    lab.env.step(lab.policy(observation))
+    assert memory.coupled
+    lab.env.reset(options={"move_to_start": True})
+    assert not memory.coupled
+
+
 def test_50_what_is_carried_meets_nothing(lab):
     """The bar's middle would, half a metre from both grippers."""
     lab.configure(obstacle=[ROD])

@@ -299,12 +299,18 @@ class HandoverGoals:
         (height_m,) = numbers(grasped.frames[:, _BLOCK, 2:3].T)
         (away_m, error_m, *_), (turned, *_) = numbers(moved_m.T), numbers(chord.T)
         off_m = away_m + LEVER_M * turned
-        narrow = grasped.cleared < 1.0
+        (right_gives,) = numbers(self._giver[None] > 0)
+        left_between, right_between = numbers(grasped.between.T)
+        left_holds, right_holds = numbers(grasped.holding.T)
+        left_narrow, right_narrow = numbers((grasped.cleared < 1.0).T)
         case = Case(
-            *numbers(self._giver[None] > 0),
-            *numbers(grasped.between.T),
-            *numbers(grasped.holding.T),
-            *numbers(narrow.T),
+            right_gives,
+            left_between,
+            right_between,
+            left_holds,
+            right_holds,
+            left_narrow,
+            right_narrow,
             height_m > LIFTED_M,
             off_m < MEETING_RANGE_M,
             off_m < _ARRIVED_M,

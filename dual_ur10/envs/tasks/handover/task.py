@@ -94,6 +94,7 @@ class Facts(NamedTuple):
 
 
 def facts_of(
+    *,
     between: Pair,
     holds: Pair,
     closes: Pair,
@@ -101,7 +102,6 @@ def facts_of(
     opened: Pair,
     closed: Pair,
     clear: Pair,
-    *,
     height_m: Number,
     off_m: Number,
     laid: Number,
@@ -443,8 +443,13 @@ class Handover(StagedTask[HandoverSettings, HandoverMeasured, Facts]):
         near_target = (found.error_m < self.settings.success_error_m) & (error_rad < self.settings.success_turn_rad)
         far = (to_shoulders_m[0] > self._far_m[0]) & (to_shoulders_m[1] > self._far_m[1])
         return facts_of(
-            *map(self.by_role, (grasped.between, grasped.holding, found.closes, found.steps.nearness)),
-            *map(self.by_role, (grasped.opened, grasped.closed, grasped.cleared)),
+            between=self.by_role(grasped.between),
+            holds=self.by_role(grasped.holding),
+            closes=self.by_role(found.closes),
+            nearness=self.by_role(found.steps.nearness),
+            opened=self.by_role(grasped.opened),
+            closed=self.by_role(grasped.closed),
+            clear=self.by_role(grasped.cleared),
             height_m=found.height_m,
             off_m=found.off_m,
             laid=near_target & (still_m < self._still_m),

@@ -206,7 +206,8 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
     - v0: first version.
     """
 
-    coupled: ClassVar[bool] = True
+    couples: ClassVar[bool] = True
+    ramp_kg_s: ClassVar[float] = BAR_MASS_KG / 2 / _LOAD_S
     limits: MotionLimits = MotionLimits(
         speed_rad_s=(1.0,) * 6, acceleration_rad_s2=10.0, jerk_rad_s3=2000.0, tcp_speed_m_s=1.0
     )
@@ -248,7 +249,6 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         self._bar = Poses(np.zeros((n, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)))
         self._when = np.array([0.0, timing.ahead_s])
         self._count = np.zeros(n, dtype=np.int64)
-        self._declared: Array = np.zeros((n, 2))
         self._load: Array = np.zeros((n, 2))  # to declare: half the bar for each arm, while it is off the table
         # Of the episode so far, since the bar is lifted.
         self._worst_slip: Array = np.zeros(n)
@@ -292,7 +292,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
             nearest(position[:, arm], quat_to_matrix(quat[:, arm]), home[arm], mount.dh)
             for arm, mount in enumerate(mounts)
         ]
-        for values in (self._count, self._declared, self._load, self._worst_slip, self._squares, self._carried):
+        for values in (self._count, self._declared_kg, self._load, self._worst_slip, self._squares, self._carried):
             values[rows] = 0
         opening = None if settings.rigid else np.tile(strokes_m(self.cell.equipment.tools), (len(rows), 1))
         objects = {"bar": np.concatenate(bar, axis=1)}
@@ -417,11 +417,6 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         result &= self._worst_slip <= settings.success_slip_m
         return result
 
-    def payload_kg(self) -> Array | None:
-        """Return the declared payload, (n, 2), with ramps up and down; None: the load is unknown."""
-        if self.settings.payload == "unknown":
-            return None
-        most = BAR_MASS_KG / 2 * self.timing.period_s / _LOAD_S
-        step = np.minimum(np.maximum(self._load - self._declared, -most), most)
-        self._declared = self._declared + step
-        return self._declared
+    def load_kg(self) -> Array | None:
+        """Return half of the bar for each arm, from before the lift until it is put down; None: the load is unknown."""
+        return None if self.settings.payload == "unknown" else self._load

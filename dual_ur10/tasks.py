@@ -25,7 +25,7 @@ from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Task, Timing, 
 from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics.frames import Frames
 from dual_ur10.kinematics.poses import Poses
-from dual_ur10.policies.scripted.base import ScriptedPolicy
+from dual_ur10.policies.scripted.base import Script, ScriptedPolicy, Wish
 from dual_ur10.policies.training.settings import Imitation, Reinforcement, TaskSettings
 from dual_ur10.registration import register
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
@@ -53,6 +53,7 @@ __all__ = [
     "Reinforcement",
     "Rows",
     "SceneRequirements",
+    "Script",
     "ScriptedPolicy",
     "SettingsError",
     "StagedTask",
@@ -60,6 +61,7 @@ __all__ = [
     "Task",
     "TaskSettings",
     "Timing",
+    "Wish",
     "arm_values",
     "check_numbers",
     "gaussian",

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, ClassVar
+from abc import abstractmethod
+from collections.abc import Generator, Mapping, Sequence
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from dual_ur10.kinematics.frames import ArmMount, Frames
 from dual_ur10.kinematics.poses import Poses
 from dual_ur10.kinematics.rotations import quat_to_matrix
 from dual_ur10.sim2real.control.limits import MotionLimits
-from dual_ur10.types import Array
+from dual_ur10.types import Array, Rows
 
 
 class ScriptedPolicy:
@@ -94,6 +95,84 @@ class ScriptedPolicy:
             for k, dh in enumerate((left, right))
         ]
         return np.stack(arms, axis=-2)
+
+
+class Wish(NamedTuple):
+    """Command of a `Script`.
+
+    Attributes:
+        q_rad: (2, 6) joint positions at the end of the next motion.
+        opening: (2,) openings of the grippers, -1 closed to 1 open; None: there are none.
+    """
+
+    q_rad: Array
+    opening: Array | None = None
+
+
+Fields = Mapping[str, Array]
+"""Fields of one row's observation, (2, field size) each."""
+
+
+class Script(ScriptedPolicy):
+    """Scripted policy that is written as one coroutine per episode; this base runs one for each row of a batch.
+
+    A subclass names its `task` and writes `script`. An episode of a row begins with the first observation after `reset`
+    or `begin`.
+    """
+
+    def __init__(self, *arguments: Any, **keywords: Any) -> None:
+        super().__init__(*arguments, **keywords)
+        self.reset()
+
+    @abstractmethod
+    def script(self, fields: Fields) -> Generator[Wish, Fields, None]:
+        """Yield a wish for each observation of an episode; a `yield` returns the fields of the next observation.
+
+        The last wish stays in force once the script has ended.
+
+        Args:
+            fields: Fields of the first observation; copies, which may be kept.
+        """
+
+    def reset(self) -> None:
+        """Forget everything: an episode begins."""
+        self._scripts: list[Any] | None = None  # running coroutines; an ended one stays so
+        self._wishes: list[Wish | None] = []
+
+    def begin(self, rows: Rows, seeds: Sequence[int]) -> None:
+        """Begin episodes in some rows of the batch; see `dual_ur10.policies.policy.EpisodeAware`."""
+        for row in rows if self._scripts is not None else ():
+            self._wishes[row] = None
+
+    def __call__(self, observation: Array) -> Array:
+        """Return the float32 action for an observation, or one for each row of a batch of observations.
+
+        Raises:
+            ActionError: Not an observation of the task.
+            SettingsError: A script ended before its first wish.
+        """
+        batch = self._batch(observation, None if self._scripts is None else len(self._scripts))
+        if self._scripts is None:
+            self._scripts, self._wishes = [None] * len(batch), [None] * len(batch)
+        actions = [self._act(row, self._layout.split(numbers.copy())) for row, numbers in enumerate(batch)]
+        return np.array(actions).reshape(*np.shape(observation)[:-1], -1).astype(np.float32)
+
+    def _act(self, row: int, fields: Fields) -> Array:
+        """Return the action of one row."""
+        scripts = self._scripts or []
+        script, wish = scripts[row], self._wishes[row]
+        try:
+            if wish is None:
+                script = scripts[row] = self.script(fields)
+                wish = next(script)
+            else:
+                wish = script.send(fields)
+        except StopIteration:
+            if wish is None:
+                raise SettingsError(f"the script of {type(self).__name__} ended before its first wish") from None
+        self._wishes[row] = wish
+        joints = self._action(wish.q_rad.reshape(12), fields["commanded_q_rad"].reshape(12)).reshape(2, 6)
+        return joints if wish.opening is None else np.concatenate([joints, wish.opening[:, None]], axis=1)
 
 
 def on_table(pose: Poses, mounts: Sequence[ArmMount], height_m: float) -> Poses:

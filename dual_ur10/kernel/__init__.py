@@ -1,4 +1,4 @@
-"""Compiled kernel, in C++: kinematics, adapter, safety gate, distances, feed-forward and measurements of tasks.
+"""Compiled kernel, in C++: kinematics, adapter, safety gate, distances, feed-forward, and geometry for tasks.
 
 Python computes all coefficients and owns all memory that lasts; the kernel does the arithmetic of a control period,
 row by row, without the GIL. A `Struct` mirrors one of its structures, whose fields the library itself describes. This

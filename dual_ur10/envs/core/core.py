@@ -314,12 +314,11 @@ class Core:
             terminated |= outcome.terminal
         terms_of_arms = self._all_terms(outcome.terms, refused, success)
         terms = (terms_of_arms[:, 0] + terms_of_arms[:, 1]) / 2
-        reward: Array = np.add.reduce(terms * self._weights, axis=1)
+        reward: Array = np.vecdot(terms, self._weights)
         info = self._measurements(state)
         info.update(outcome.info)
         info["is_success"] = success
-        for k, name in enumerate(self._terms):
-            info[name] = terms[:, k]
+        info.update(zip(self._terms, terms.T, strict=True))
         if not self._sensing.is_exact:
             state = self._sensing(state)
             measured = measured if self._sensing.keeps_poses else self.task.measure(state)

@@ -1,7 +1,7 @@
 """Geometry of tasks with objects: grasps, steps of tools to their goals, and distances of poses.
 
-Tasks call these for all rows at once. Results are named arrays, which belong to the caller. The kernel does the
-arithmetic, row by row: a row does not depend on the others.
+Tasks call these for all rows at once. Results are named arrays. The kernel does the arithmetic, row by row: a row does
+not depend on the others.
 
 A *frame* is a position and a rotation matrix by rows, (..., 12). A *chord* is 2 sin(angle / 2) of a rotation.
 """
@@ -292,7 +292,7 @@ class GoalSteps:
         rise_m: Sequence[Number] | None = None,
         error_m: Sequence[Number] | None = None,
     ) -> ToolSteps:
-        """Compute the steps.
+        """Return the steps, in arrays that the next call writes anew.
 
         Args:
             tools: (n, 2, 12) frames of the tools; with `mounts`, (n, 2, 6) joint positions.
@@ -310,7 +310,7 @@ class GoalSteps:
         if error_m is not None:
             self._error_m[:, 0], self._error_m[:, 1] = error_m
         self._compute()
-        return ToolSteps(*[each.copy() for each in self._found])
+        return self._found
 
 
 def frame_of(pose: Poses) -> Array:
@@ -350,11 +350,11 @@ class FrameDistances:
         self._compute = RowLoop("frame_distances", struct, n, 1)
 
     def __call__(self, frames: Array) -> tuple[Array, Array, Array]:
-        """Return distances, chords, and angles between the x axes in rad, (n, pairs) each."""
+        """Return distances, chords, and angles of the x axes in rad, (n, pairs) each, which the next call changes."""
         self._frames[...] = frames
         self._compute()
         moved_m, chord, axis_rad = self._found
-        return moved_m.copy(), chord.copy(), axis_rad.copy()
+        return moved_m, chord, axis_rad
 
 
 def length(vectors: Array) -> Array:

@@ -51,13 +51,13 @@ def test_the_references_lie_on_the_sine():
     core.reset([np.random.default_rng(seed) for seed in range(3)])
     task, settings = core.task, core.task.settings
     begin = task.measure(core._state).reference_m
-    zero = settings.displacement_m(np.zeros((3, 1)), task._phase)
+    zero = settings.displacement_m(np.zeros((3, 1)), task._phase[:, :1])
     for _ in range(70):  # beyond the soft start
         core.step(np.zeros((3, 12)))
         time, measured = core._state.time_s[:, None], task.measure(core._state)
-        moved = (settings.displacement_m(time, task._phase) - zero)[:, :, None] * settings.direction
+        moved = (settings.displacement_m(time, task._phase[:, :1]) - zero)[:, :, None] * settings.direction
         assert np.abs(measured.reference_m - begin - moved).max() < 1e-14
-        ahead = settings.displacement_m(time + task.timing.ahead_s, task._phase) - settings.displacement_m(
+        ahead = settings.displacement_m(time + task.timing.ahead_s, task._phase[:, :1]) - settings.displacement_m(
             time, task._phase
         )
         away = np.linalg.norm(measured.ahead_base_m - measured.reference_base_m, axis=2)

@@ -437,7 +437,7 @@ class Handover(StagedTask[HandoverSettings, HandoverMeasured, Facts]):
         goals.to_block.others[:, _BEFORE] = grasped.frames[:, 0]
         found = goals(grasped, grasped.tools, moved_m, chord)
         self._slip(grasped)
-        self._error_m, self._error_rad = moved_m[:, _TARGET], axis_rad[:, _TARGET]
+        self._error_m, self._error_rad = moved_m[:, _TARGET].copy(), axis_rad[:, _TARGET].copy()
         _, _, still_m, *to_shoulders_m = numbers(moved_m.T)
         _, error_rad, *_ = numbers(axis_rad.T)
         near_target = (found.error_m < self.settings.success_error_m) & (error_rad < self.settings.success_turn_rad)

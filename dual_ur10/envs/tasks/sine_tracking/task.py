@@ -199,7 +199,8 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         # Of the sine, in `base` now and ahead, and in the cell frame: centres and directions.
         self._center: Array = np.zeros((n, 3, 2, 3))
         self._along: Array = np.zeros((n, 3, 2, 3))
-        self._amplitude_m, self._omega, self._phase = np.zeros((n, 1)), np.zeros((n, 1)), np.zeros((n, 1))
+        # Now and ahead, (n, 2): amplitudes, angular frequencies, and phases at the start.
+        self._amplitude_m, self._omega, self._phase = np.zeros((n, 2)), np.zeros((n, 2)), np.zeros((n, 2))
         self._when = np.array([0.0, timing.ahead_s])
         self._steps = GoalSteps(n, 2, (Goal(0), Goal(1)), mounts, in_bases=True, tcp_m=(0.0, 0.0))
         self._ahead: Array = np.tile(frame_of(Poses(np.zeros(3), TOOL_DOWN_QUAT)), (n, 2, 1))
@@ -223,8 +224,9 @@ class SineTracking(Task[SineSettings, SineMeasured]):
             along_base = self._to_base @ settings.direction
             self._along[row] = np.stack([along_base, along_base, np.tile(settings.direction, (2, 1))])
             self._along[row] *= settings.tracking[:, None]
-            self._amplitude_m[row], self._phase[row] = settings.amplitude_m, settings.phase_rad
-            self._omega[row] = 2 * math.pi * settings.frequency_hz
+            omega = 2 * math.pi * settings.frequency_hz
+            self._amplitude_m[row], self._omega[row] = settings.amplitude_m, omega
+            self._phase[row] = settings.phase_rad + omega * self._when
         self._squares[rows] = 0.0
         self._count[rows] = 0
         mounts = self.cell.left, self.cell.right
@@ -240,11 +242,10 @@ class SineTracking(Task[SineSettings, SineMeasured]):
 
     def measure(self, state: CellState) -> SineMeasured:
         """Compute reference and errors of all cells."""
-        time_s, away_m = state.time_s[:, None] + self._when, self._amplitude_m
-        away_m = away_m * np.sin(time_s * self._omega + self._phase)
-        begun, soft_start_s = time_s.item(0) if self.n == 1 else time_s.min(), self.settings.soft_start_s
-        if begun < soft_start_s:
-            x = np.minimum(time_s / soft_start_s, 1.0)  # exactly 1 at the end and after it
+        time_s, soft_start_s = state.time_s[:, None], self.settings.soft_start_s
+        away_m = self._amplitude_m * np.sin(time_s * self._omega + self._phase)
+        if (time_s.item() if self.n == 1 else time_s.min()) < soft_start_s:
+            x = np.minimum((time_s + self._when) / soft_start_s, 1.0)  # exactly 1 at the end and after it
             away_m *= x * x * x * (10.0 + x * (6.0 * x - 15.0))
         references = self._center + away_m.take(_NOW_AHEAD_NOW, axis=1) * self._along
         here, ahead, reference_m = references[:, 0], references[:, 1], references[:, 2]

@@ -346,7 +346,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         """Evaluate reward terms, success and end."""
         clock, grasped, settings = measured.clock_s, measured.grasped, self.settings
         holding, begun = grasped.holding, measured.clock_s > 0.0
-        both: Mask = np.logical_and.reduce(holding, axis=1)
+        both: Mask = holding[:, 0] & holding[:, 1]
         bar_m, bar_rad = self._bar_errors(grasped)
         apart_m = length(grasped.other_flange[:, 0, :3] - self._ideal_m)
         inner = (measured.force_n[:, 0] - measured.force_n[:, 1]) / 2.0
@@ -366,14 +366,15 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
             success &= there & self._carried_well(begun & both)
         wanted = self._goals(grasped, grasped.tools)
         terms = np.empty((self.n, 2, len(self.weights)))
-        terms[..., 0] = wanted.steps.nearness * np.maximum(0.8 + 0.2 * grasped.opened, wanted.closes)
-        terms[..., 1] = np.maximum(0.5 * wanted.closes * grasped.closed, holding)
+        closes, holds = wanted.closes.astype(np.float64), holding.astype(np.float64)
+        np.multiply(wanted.steps.nearness, np.maximum(0.8 + 0.2 * grasped.opened, closes), out=terms[..., 0])
+        np.maximum(0.5 * (closes * grasped.closed), holds, out=terms[..., 1])
         terms[..., 2:] = (gaussian(errors, _MARGINS) * both[:, None])[:, None]
         info = {
             "slip_m": slip_m,
             "squeeze_n": internal_n,
             "lateral_n": length(inner - internal_n[:, None] * along),
-            "load_share": load_n / np.maximum(np.add.reduce(load_n, axis=1, keepdims=True), 1e-9),
+            "load_share": load_n / np.maximum(load_n[:, :1] + load_n[:, 1:], 1e-9),
             "relative_error_m": apart_m,
             "relative_error_rad": 2.0 * np.arcsin(np.minimum(length(grasped.other_flange[:, 0, 4:]), 1.0)),
             "object_error_m": bar_m,
@@ -387,14 +388,15 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         """Return the distance and the angle of the bar from its reference, (n,) each."""
         self._to_bar.others[:, 0] = grasped.frames[:, _REFERENCE]
         moved_m, chord, _ = self._to_bar(grasped.frames)
-        return moved_m[:, 0], 2.0 * np.arcsin(np.minimum(0.5 * chord[:, 0], 1.0))
+        return moved_m[:, 0].copy(), 2.0 * np.arcsin(np.minimum(0.5 * chord[:, 0], 1.0))
 
     def _carry(self, measured: CarryMeasured, begun: Mask, both: Mask) -> tuple[Array, Array]:
         """Update slips and loads since the lift; return those now, (n, 2) each."""
         clock, grip_m = measured.clock_s, measured.grasped.grip_in_tool_m
-        np.copyto(self._slip_from_m, grip_m, where=~begun[:, None, None])
+        if np.count_nonzero(begun) < self.n:
+            np.copyto(self._slip_from_m, grip_m, where=~begun[:, None, None])
         slip_m = length(grip_m - self._slip_from_m)
-        self._worst_slip = np.maximum(self._worst_slip, np.maximum.reduce(slip_m, axis=1)) * begun
+        self._worst_slip = np.maximum(self._worst_slip, np.maximum(slip_m[:, 0], slip_m[:, 1])) * begun
         load_n = np.maximum(-measured.force_n[..., 2], 0.0)
         under_way = clock < self.settings.duration_s
         self._carried += load_n * (begun & under_way)[:, None]

@@ -117,6 +117,15 @@ def test_scripted_figures(keywords, slip_mm, relative_mm, degrees, squeeze_n):
     assert column(air, "reward").min() > 0.95
 
 
+@pytest.mark.parametrize("tools", [("generic_140", "robotiq_2f85"), ("robotiq_2f85", "generic_140")])
+def test_arms_with_tools_of_different_length_are_synchronous(tools):
+    env = gym.make(CARRY, cell=CellConfig(tools=tools))
+    env.reset(seed=0)
+    _, _, _, _, info = env.step(np.zeros(14, dtype=np.float32))  # both tools are above the ends of the bar
+    assert info["relative_error_m"] < 1e-3
+    env.close()
+
+
 def test_success_over_random_plants():
     episodes, width = (300, 15) if SOAK else (1, 1)
     successes = 0

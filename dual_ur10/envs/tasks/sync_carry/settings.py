@@ -11,7 +11,7 @@ import numpy as np
 
 from dual_ur10.assets.props import BAR_WIDTH_M, GRIP_DISTANCE_M, GRIP_QUAT
 from dual_ur10.assets.settings import SceneSettings, home_q_rad
-from dual_ur10.assets.tool import levers_m
+from dual_ur10.assets.tool import Tool, levers_m
 from dual_ur10.envs.tasks.geometry import flanges_of
 from dual_ur10.envs.tasks.sync_carry.path import MOVES, CarryPath
 from dual_ur10.envs.tasks.task import check_numbers
@@ -126,7 +126,8 @@ def bar_pose(where: Array) -> Poses:
     return Poses(position, yaw_quat(where[:, 2]))
 
 
-def ideal_relative(grip: Poses) -> Poses:
+def ideal_relative(grip: Poses, tools: tuple[Tool, Tool]) -> Poses:
     """Return the nominal pose of the right flange in the left flange's frame while both grip the bar, (3,) and (4,)."""
     left, right = (Poses(grip.position_m[arm], grip.quat[arm]) for arm in (0, 1))
-    return Poses(relative_to(left, right).position_m, np.array([1.0, 0.0, 0.0, 0.0]))
+    lever_m = levers_m(tools)  # the flanges are parallel, so each lever counts along the same axis
+    return Poses(relative_to(left, right).position_m + (lever_m[0] - lever_m[1]), np.array([1.0, 0.0, 0.0, 0.0]))

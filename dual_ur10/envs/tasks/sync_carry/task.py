@@ -245,7 +245,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         mounts = (cell.left, cell.right)
         self._goals = CarryGoals(n, settings, mounts, _POSES, (_BAR, _BAR), (_REFERENCE, _REFERENCE), tools=tools)
         self._to_bar = FrameDistances(n, _POSES, (_BAR,))
-        self._ideal_m = ideal_relative(self._grip).position_m
+        self._ideal_m = ideal_relative(self._grip, tools).position_m
         self._bar = Poses(np.zeros((n, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)))
         self._when = np.array([0.0, timing.ahead_s])
         self._count = np.zeros(n, dtype=np.int64)

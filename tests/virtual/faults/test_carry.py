@@ -63,7 +63,7 @@ def test_50_what_is_carried_meets_nothing(lab):
         if terminated:
             break
     assert terminated
-    assert "held and obstacle/rod" in info["safety"].subject
+    assert "held_bar and obstacle/rod" in info["safety"].subject
     assert lab.latch.read() is None  # it is no fault
     lab.assert_within_limits()
 

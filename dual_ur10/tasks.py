@@ -11,6 +11,7 @@ imports it.
 
 from dual_ur10.assets.prop import Camera, Capsule, Prop
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, home_q_rad
+from dual_ur10.envs.tasks.geometry import FrameDistances, Goal, GoalSteps, Grasps, numbers, ratio
 from dual_ur10.envs.tasks.observation_layout import (
     ARM_FIELDS,
     Field,
@@ -42,7 +43,11 @@ __all__ = [
     "CellState",
     "Equipment",
     "Field",
+    "FrameDistances",
     "Frames",
+    "Goal",
+    "GoalSteps",
+    "Grasps",
     "Imitation",
     "Mask",
     "MotionLimits",
@@ -67,8 +72,10 @@ __all__ = [
     "gaussian",
     "gripper_field",
     "home_q_rad",
+    "numbers",
     "pose_fields",
     "pose_values",
+    "ratio",
     "register",
     "stage",
 ]

@@ -11,6 +11,7 @@ imports it.
 
 from dual_ur10.assets.prop import Camera, Capsule, Prop
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, home_q_rad
+from dual_ur10.assets.tool import Tool
 from dual_ur10.envs.tasks.geometry import FrameDistances, Goal, GoalSteps, Grasps, numbers, ratio
 from dual_ur10.envs.tasks.observation_layout import (
     ARM_FIELDS,
@@ -26,7 +27,7 @@ from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Task, Timing, 
 from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics.frames import Frames
 from dual_ur10.kinematics.poses import Poses
-from dual_ur10.policies.scripted.base import Script, ScriptedPolicy, Wish
+from dual_ur10.policies.scripted.base import Fields, Script, ScriptedPolicy, Wish, on_table
 from dual_ur10.policies.training.settings import Imitation, Reinforcement, TaskSettings
 from dual_ur10.registration import register
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
@@ -43,6 +44,7 @@ __all__ = [
     "CellState",
     "Equipment",
     "Field",
+    "Fields",
     "FrameDistances",
     "Frames",
     "Goal",
@@ -66,6 +68,7 @@ __all__ = [
     "Task",
     "TaskSettings",
     "Timing",
+    "Tool",
     "Wish",
     "arm_values",
     "check_numbers",
@@ -73,6 +76,7 @@ __all__ = [
     "gripper_field",
     "home_q_rad",
     "numbers",
+    "on_table",
     "pose_fields",
     "pose_values",
     "ratio",

@@ -31,6 +31,9 @@ class ScriptedPolicy:
         settings: Settings of the task; None: the default ones.
         tools: Tools of both arms.
 
+    Attributes:
+        layout: Fields of an observation.
+
     Raises:
         SettingsError: Actions of this mode are not of joints.
     """
@@ -53,10 +56,10 @@ class ScriptedPolicy:
         self.limits = limits or self.task.limits
         self._levers_m = levers_m(tools)
         self.settings = self.task.settings_type() if settings is None else settings
-        self._layout, self._name = self.task.layout_for(self.settings), self.task.__name__  # the name in messages
+        self.layout, self._name = self.task.layout_for(self.settings), self.task.__name__  # the name in messages
         self._step_rad = np.tile(self.limits.speed_rad_s, 2) * timing.period_s
 
-    def _batch(self, observation: Array, count: int | None) -> Array:
+    def batch(self, observation: Array, count: int | None) -> Array:
         """Return observations as a batch.
 
         Args:
@@ -66,16 +69,16 @@ class ScriptedPolicy:
         Raises:
             ActionError: The shape is not that of observations of the task, or their number has changed.
         """
-        batch = self._layout.batch(observation, self._name)
+        batch = self.layout.batch(observation, self._name)
         if count is not None and len(batch) != count:
             raise ActionError(f"{len(batch)} observations after {count}: call reset() before another number")
         return batch
 
-    def _action(self, goal_rad: Array, commanded_rad: Array) -> Array:
+    def action(self, goal_rad: Array, commanded_rad: Array) -> Array:
         """Return the action, (..., 12), that leads from the commanded to the goal positions."""
         return goal_rad if self.action_mode == "joint_position" else (goal_rad - commanded_rad) / self._step_rad
 
-    def _inverse(self, flanges: Poses, near_q_rad: Array) -> Array:
+    def inverse(self, flanges: Poses, near_q_rad: Array) -> Array:
         """Return the joint positions nearest to others that put the flanges at poses in the arms' `base` frames.
 
         Args:
@@ -120,9 +123,8 @@ class Script(ScriptedPolicy):
     or `begin`.
     """
 
-    def __init__(self, *arguments: Any, **keywords: Any) -> None:
-        super().__init__(*arguments, **keywords)
-        self.reset()
+    _scripts: list[Any] | None = None  # running coroutines; an ended one stays so
+    _wishes: list[Wish | None]
 
     @abstractmethod
     def script(self, fields: Fields) -> Generator[Wish, Fields, None]:
@@ -136,8 +138,7 @@ class Script(ScriptedPolicy):
 
     def reset(self) -> None:
         """Forget everything: an episode begins."""
-        self._scripts: list[Any] | None = None  # running coroutines; an ended one stays so
-        self._wishes: list[Wish | None] = []
+        self._scripts = None
 
     def begin(self, rows: Rows, seeds: Sequence[int]) -> None:
         """Begin episodes in some rows of the batch; see `dual_ur10.policies.policy.EpisodeAware`."""
@@ -151,10 +152,10 @@ class Script(ScriptedPolicy):
             ActionError: Not an observation of the task.
             SettingsError: A script ended before its first wish.
         """
-        batch = self._batch(observation, None if self._scripts is None else len(self._scripts))
+        batch = self.batch(observation, None if self._scripts is None else len(self._scripts))
         if self._scripts is None:
             self._scripts, self._wishes = [None] * len(batch), [None] * len(batch)
-        actions = [self._act(row, self._layout.split(numbers.copy())) for row, numbers in enumerate(batch)]
+        actions = [self._act(row, self.layout.split(numbers.copy())) for row, numbers in enumerate(batch)]
         return np.array(actions).reshape(*np.shape(observation)[:-1], -1).astype(np.float32)
 
     def _act(self, row: int, fields: Fields) -> Array:
@@ -171,7 +172,7 @@ class Script(ScriptedPolicy):
             if wish is None:
                 raise SettingsError(f"the script of {type(self).__name__} ended before its first wish") from None
         self._wishes[row] = wish
-        joints = self._action(wish.q_rad.reshape(12), fields["commanded_q_rad"].reshape(12)).reshape(2, 6)
+        joints = self.action(wish.q_rad.reshape(12), fields["commanded_q_rad"].reshape(12)).reshape(2, 6)
         return joints if wish.opening is None else np.concatenate([joints, wish.opening[:, None]], axis=1)
 
 

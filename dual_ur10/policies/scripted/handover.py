@@ -125,11 +125,11 @@ class HandoverPolicy(ScriptedPolicy):
             ActionError: Not an observation of Handover.
             UnreachableError: The block or its target cannot be reached.
         """
-        batch = self._batch(observation, None if self._clock is None else len(self._clock))
-        arms, n = [self._layout.split(row) for row in batch], len(batch)
+        batch = self.batch(observation, None if self._clock is None else len(self._clock))
+        arms, n = [self.layout.split(row) for row in batch], len(batch)
         if self._clock is None:
             self._clock, self._episodes = np.full(n, np.inf), [_new(row) for row in arms]
-        clock = self._layout.split(batch)["progress"][:, 0, 0]
+        clock = self.layout.split(batch)["progress"][:, 0, 0]
         for row in np.flatnonzero(clock < self._clock).tolist():
             self._episodes[row] = self._begun(arms[row])
         self._clock = clock.copy()
@@ -154,7 +154,7 @@ class HandoverPolicy(ScriptedPolicy):
             self._handle(episode, arms)
         if episode.motion is not None:
             episode.goal_rad = episode.motion.at(episode.time_s)
-        joints = self._action(episode.goal_rad, commanded).reshape(2, 6)
+        joints = self.action(episode.goal_rad, commanded).reshape(2, 6)
         return np.concatenate([joints, episode.gripper[:, None]], axis=1).reshape(-1)
 
     def _is_over(self, episode: _Episode, commanded: Array) -> bool:

@@ -96,8 +96,8 @@ class SineTrackingPolicy(ScriptedPolicy):
             ActionError: Not an observation of SineTracking.
             UnreachableError: The reference cannot be reached.
         """
-        batch = self._batch(observation, None if self._before is None else len(self._before))
-        fields, n = self._layout.split(batch), len(batch)
+        batch = self.batch(observation, None if self._before is None else len(self._before))
+        fields, n = self.layout.split(batch), len(batch)
         commanded = fields["commanded_q_rad"].reshape(n, 12)
         now, ahead = self._wanted(fields)
         before = self._continued(now, ahead, commanded)
@@ -117,7 +117,7 @@ class SineTrackingPolicy(ScriptedPolicy):
             goal = ahead - self._model.predict(feature_ahead)
         if self._recovery is not None:
             goal = self._recovery(goal, commanded, fields["qd_rad_s"].reshape(n, 12))
-        action = self._action(goal, commanded)
+        action = self.action(goal, commanded)
         if self.action_mode == "joint_delta":
             action = np.clip(action, -1.0, 1.0)
         return action.reshape(*np.shape(observation)[:-1], 12).astype(np.float32)
@@ -170,6 +170,6 @@ class SineTrackingPolicy(ScriptedPolicy):
         positions = np.stack([fields["reference_base_m"], fields["ahead_base_m"]])
         orientations = np.broadcast_to(reference, (2, *reference.shape))
         near = np.broadcast_to(fields["commanded_q_rad"], (2, *half.shape[:-1], 6))
-        wanted = self._inverse(Poses(positions, orientations), near)
+        wanted = self.inverse(Poses(positions, orientations), near)
         now, ahead = wanted.reshape(2, len(half), 12)
         return now, ahead

@@ -85,8 +85,8 @@ class SyncCarryPolicy(ScriptedPolicy):
             ActionError: Not an observation of SyncCarry with these settings.
             UnreachableError: The bar or its path cannot be reached.
         """
-        batch = self._batch(observation, None if self._clock is None else len(self._clock))
-        fields, n = self._layout.split(batch), len(batch)
+        batch = self.batch(observation, None if self._clock is None else len(self._clock))
+        fields, n = self.layout.split(batch), len(batch)
         if self._clock is None:
             self._clock = np.full(n, np.inf)
             self._time_s = np.zeros(n)
@@ -101,7 +101,7 @@ class SyncCarryPolicy(ScriptedPolicy):
         for row in fresh.tolist():
             poses = (Poses(*(part[row] for part in each)) for each in (flange, now if self._is_expert else bar, now))
             self._plan(row, commanded[row], *poses)
-        goal = self._inverse(compose(ahead, self._offset), commanded)
+        goal = self.inverse(compose(ahead, self._offset), commanded)
         closed = np.full(n, -1.0)
         for row, motion in enumerate(self._motion):
             if motion is None:
@@ -117,7 +117,7 @@ class SyncCarryPolicy(ScriptedPolicy):
         if not self._is_expert:
             self._recovery.forget(fresh, commanded)
             goal = self._recovery(goal, commanded, fields["qd_rad_s"].reshape(n, 12))
-        action = self._action(goal, commanded).reshape(n, 2, 6)
+        action = self.action(goal, commanded).reshape(n, 2, 6)
         if not self.settings.rigid:
             action = np.concatenate([action, np.broadcast_to(closed[:, None, None], (n, 2, 1))], axis=2)
         return action.reshape(*np.shape(observation)[:-1], -1).astype(np.float32)
@@ -130,7 +130,7 @@ class SyncCarryPolicy(ScriptedPolicy):
             flange = flanges_of(compose(bar, self.settings.grip), self._levers_m)
             above = Poses(flange.position_m + np.array([0.0, 0.0, _ABOVE_M]), flange.quat)
             lower = Poses(above.position_m - np.array([0.0, 0.0, 1e-3]), flange.quat)
-            points = np.concatenate([self._inverse(pose, commanded).reshape(1, 12) for pose in (above, lower, flange)])
+            points = np.concatenate([self.inverse(pose, commanded).reshape(1, 12) for pose in (above, lower, flange)])
             down = (points[1] - points[0]) * (_DOWN_M_S / 1e-3)
             passing = Waypoint(points[0], down * min(1.0, 0.5 / float((np.abs(down) / self._speed).max())))
             self._motion[row] = FreeMotion(

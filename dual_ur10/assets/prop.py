@@ -197,7 +197,7 @@ class Prop:
         try:
             own = mujoco.MjSpec.from_string(self.mjcf)
         except ValueError as error:
-            raise SettingsError(f"the MJCF of the prop {self.name!r} is refused: {_told(error)}") from error
+            raise SettingsError(f"the MJCF of the prop {self.name!r} is refused: {_reason(error)}") from error
         for geom in list(own.geoms):
             collides = geom.contype or geom.conaffinity
             if not collides and geom.group == 2:
@@ -224,7 +224,7 @@ class Prop:
         try:
             spec.compile()
         except ValueError as error:
-            raise SettingsError(f"the prop {self.name!r} cannot be compiled: {_told(error)}") from error
+            raise SettingsError(f"the prop {self.name!r} cannot be compiled: {_reason(error)}") from error
 
 
 def check_props(props: Sequence[Prop]) -> tuple[Prop, ...]:
@@ -245,7 +245,7 @@ def check_props(props: Sequence[Prop]) -> tuple[Prop, ...]:
     return tuple(props)
 
 
-def _told(error: Exception) -> str:
+def _reason(error: Exception) -> str:
     return " ".join(str(error).split()).removeprefix("Error: ")
 
 
@@ -256,7 +256,7 @@ def _text_of(spec: Any, name: str) -> str:
     except (AttributeError, ValueError) as error:
         raise SettingsError(
             f"mjcf of the prop {name!r} is {type(spec).__name__}: it must be MJCF text or a MjSpec that compiles "
-            f"({_told(error)})"
+            f"({_reason(error)})"
         ) from error
     return str(text)
 

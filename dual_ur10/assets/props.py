@@ -95,53 +95,53 @@ def _box_body(name: str, mass_kg: float, size_m: Vector3, rest: str) -> str:
 
 def _bar_mjcf() -> str:
     half, end = BAR_WIDTH_M / 2, BAR_LENGTH_M / 2
-    drawn = [_painted((-half, -end + 0.008, -half), (half, end - 0.008, half), "metal")]
+    parts = [_painted((-half, -end + 0.008, -half), (half, end - 0.008, half), "metal")]
     for side in (-1, 1):
         y = side * (end - 0.004)
-        drawn.append(_painted((-half, y - 0.004, -half), (half, y + 0.004, half), "dark"))
+        parts.append(_painted((-half, y - 0.004, -half), (half, y + 0.004, half), "dark"))
         y, skin = side * GRIP_DISTANCE_M / 2, half + _SKIN_M
-        drawn.append(_painted((-skin, y - 0.03, -skin), (skin, y + 0.03, skin), "grip_zone"))
+        parts.append(_painted((-skin, y - 0.03, -skin), (skin, y + 0.03, skin), "grip_zone"))
         for edge in (-0.031, 0.031):
-            drawn.append(_painted((-skin, y + edge - 0.002, -skin), (skin, y + edge + 0.002, skin), "dark"))
+            parts.append(_painted((-skin, y + edge - 0.002, -skin), (skin, y + edge + 0.002, skin), "dark"))
     # The slots of a profile, between the grips.
-    drawn.append(_painted((-half - _SKIN_M, -0.44, -0.004), (half + _SKIN_M, 0.44, 0.004), "dark"))
-    drawn.append(_painted((-0.004, -0.44, -half - _SKIN_M), (0.004, 0.44, half + _SKIN_M), "dark"))
+    parts.append(_painted((-half - _SKIN_M, -0.44, -0.004), (half + _SKIN_M, 0.44, 0.004), "dark"))
+    parts.append(_painted((-0.004, -0.44, -half - _SKIN_M), (0.004, 0.44, half + _SKIN_M), "dark"))
     sites = "".join(
         f'<site name="{arm}_grip" pos="0 {_text(sign * GRIP_DISTANCE_M / 2)} 0" quat="{_text(GRIP_QUAT)}" group="4"/>'
         for arm, sign in zip(ARMS, (1, -1), strict=True)
     )
     size = (BAR_WIDTH_M, BAR_LENGTH_M, BAR_WIDTH_M)
-    return _mjcf(_box_body("bar", BAR_MASS_KG, size, sites + "".join(drawn)), ("metal", "dark", "grip_zone"))
+    return _mjcf(_box_body("bar", BAR_MASS_KG, size, sites + "".join(parts)), ("metal", "dark", "grip_zone"))
 
 
 def _block_mjcf() -> str:
     x, y, z = (each / 2 for each in BLOCK_SIZE_M)
-    drawn = [
+    parts = [
         _painted((0.002, -y, -z), (x, y, z), "front_half"),
         _painted((-x, -y, -z), (-0.002, y, z), "back_half"),
         _painted((-0.002, -y + 0.0008, -z + 0.0008), (0.002, y - 0.0008, z - 0.0008), "dark"),
     ]
     for end in (-1, 1):
         a, b = sorted((end * (x - 0.012), end * (x - 0.009)))
-        drawn.append(_painted((a, -y - _SKIN_M, -z - _SKIN_M), (b, y + _SKIN_M, z + _SKIN_M), "outline"))
+        parts.append(_painted((a, -y - _SKIN_M, -z - _SKIN_M), (b, y + _SKIN_M, z + _SKIN_M), "outline"))
     materials = ("front_half", "back_half", "dark", "outline")
-    return _mjcf(_box_body("block", BLOCK_MASS_KG, BLOCK_SIZE_M, "".join(drawn)), materials)
+    return _mjcf(_box_body("block", BLOCK_MASS_KG, BLOCK_SIZE_M, "".join(parts)), materials)
 
 
 def _target_mjcf() -> str:
     """Return a plate on the table below the target pose, its halves coloured like the block's."""
     x, y, z = (each / 2 for each in BLOCK_SIZE_M)
     low, high, edge = -z, -z + 0.0015, 0.004
-    drawn = [
+    parts = [
         _painted((0, -y, low), (x, y, high), "front_target"),
         _painted((-x, -y, low), (0, y, high), "back_target"),
     ]
     for side in (-1, 1):
         a, b = sorted((side * y, side * (y + edge)))
-        drawn.append(_painted((-x - edge, a, low), (x + edge, b, high + 0.0004), "outline"))
+        parts.append(_painted((-x - edge, a, low), (x + edge, b, high + 0.0004), "outline"))
         a, b = sorted((side * x, side * (x + edge)))
-        drawn.append(_painted((a, -y, low), (b, y, high + 0.0004), "outline"))
-    body = f'<body name="target" mocap="true" pos="0 -0.3 {_text(z)}">{"".join(drawn)}</body>'
+        parts.append(_painted((a, -y, low), (b, y, high + 0.0004), "outline"))
+    body = f'<body name="target" mocap="true" pos="0 -0.3 {_text(z)}">{"".join(parts)}</body>'
     return _mjcf(body, ("front_target", "back_target", "outline"))
 
 

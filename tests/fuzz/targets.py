@@ -428,7 +428,7 @@ def script_controller(data: bytes) -> None:
 # JSON.
 
 
-_CAMERA: Final = EmulatedTrackerEntry()
+_CAMERA: Final = EmulatedTrackerEntry(prop="block")
 _FLANGES: Final = Flanges(np.zeros((2, 3)), np.zeros((2, 4)))
 
 

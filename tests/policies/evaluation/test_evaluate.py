@@ -255,7 +255,7 @@ class Stub(VectorEnv[Any, Any, Any]):
         self.single_action_space = gym.spaces.Box(-1, 1, (2,), np.float32)
         self.action_space = gym.spaces.Box(-1, 1, (num_envs, 2), np.float32)
         task = SimpleNamespace(stages=("gripped", "handed over"), settings=SimpleNamespace(duration_s=duration_s))
-        config, timing = SimpleNamespace(file=None), SimpleNamespace(period_s=0.5)
+        config, timing = SimpleNamespace(controllers=False), SimpleNamespace(period_s=0.5)
         self.core = SimpleNamespace(config=config, timing=timing, task=task, stop=lambda reason: None)
         self.seeds, self.steps = np.full(num_envs, -1), np.zeros(num_envs, dtype=int)
         self.done, self.again = np.ones(num_envs, dtype=bool), np.zeros(num_envs, dtype=bool)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dual_ur10 import errors, policies
-from dual_ur10.envs.core import cells
+from dual_ur10.envs.sim import mujoco_cell
 from dual_ur10.envs.sim.mujoco_cell import MujocoCell
 from dual_ur10.envs.tasks.sine_tracking.task import SineTracking
 from dual_ur10.envs.tasks.sync_carry.task import SyncCarry
@@ -111,7 +111,7 @@ class LateOnce(MujocoCell):
 def test_stopped_arms_recover_without_overshoot_or_wrong_learning(monkeypatch, late):
     """At full speed, and near a reversal, where the arms stop close to their reference."""
     monkeypatch.setattr(LateOnce, "late", late)
-    monkeypatch.setattr(cells, "MujocoCell", LateOnce)
+    monkeypatch.setattr(mujoco_cell, "MujocoCell", LateOnce)
     trace, _ = errors_mm(keywords={"action_latency_ticks": 10}, perturbation=TYPICAL_PERTURBATION)
     assert trace[late - 1 : late + 2].max() > 2.0, "nothing was late: this test tests nothing"
     # 72 mm behind 34 where a command jumped. Near a reversal the reference comes back sooner than the arms start.
@@ -123,7 +123,7 @@ def test_stopped_arms_recover_without_overshoot_or_wrong_learning(monkeypatch, l
 @pytest.mark.parametrize("mode", ["joint_delta", "joint_position"])
 def test_stopped_arms_recover_at_other_rates(monkeypatch, rate, late, mode):
     monkeypatch.setattr(LateOnce, "late", late)
-    monkeypatch.setattr(cells, "MujocoCell", LateOnce)
+    monkeypatch.setattr(mujoco_cell, "MujocoCell", LateOnce)
     keywords = {"action_latency_ticks": 10, "policy_rate_hz": rate, "action_mode": mode}
     trace, _ = errors_mm(keywords=keywords)
     least = trace[: late - 1].max()
@@ -146,7 +146,7 @@ def test_a_carry_continues_after_a_stop(monkeypatch, late):
     """During the descent to the table, a few millimetres above it, and near a reversal."""
     monkeypatch.setattr(LateOnce, "late", late)
     monkeypatch.setattr(LateOnce, "limits", SyncCarry.limits)
-    monkeypatch.setattr(cells, "MujocoCell", LateOnce)
+    monkeypatch.setattr(mujoco_cell, "MujocoCell", LateOnce)
     settings = {"action_latency_ticks": 5}
     env, policy = (make("DualUR10/SyncCarry-v0", **settings) for make in (gym.make, partial(policies.load, "scripted")))
     observation, _ = env.reset(seed=1)

@@ -149,7 +149,7 @@ def test_on_two_controllers_power_comes_first_and_no_bar_hides_a_question(
 
     monkeypatch.setattr("dual_ur10.policies.evaluation.evaluate.evaluate", act)
     monkeypatch.setattr("dual_ur10.sim2real.analysis.replay.replay", act)
-    for module in ("evaluate", "replay"):
+    for module in ("evaluate", "records"):
         monkeypatch.setattr(f"dual_ur10.cli.{module}.power_on", order.append)
     monkeypatch.setattr(Console, "is_terminal", True)
     arguments = ("SineTracking",) if command == "evaluate" else (str(before),)

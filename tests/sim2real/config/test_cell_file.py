@@ -18,6 +18,7 @@ from pydantic import ValidationError
 
 from dual_ur10 import ENV_IDS
 from dual_ur10.assets.obstacles import Box, Capsule, Plane
+from dual_ur10.assets.props import BLOCK
 from dual_ur10.assets.settings import Equipment, SceneSettings
 from dual_ur10.envs.api.dual_arm_env import DualArmEnv
 from dual_ur10.errors import CellFileError, DualUR10Error, SettingsError
@@ -120,7 +121,7 @@ def test_each_arm_has_the_tool_that_the_file_names() -> None:
         for scene in (config.scene, config.measured_scene):
             assert [tool.name for tool in scene.equipment.tools] == names
         assert config.measured_scene.equipment.grippers == (right["kind"] != "none")
-        equipment = config.equipped(Equipment(grippers=True, prop="block"), 0.002, "stiff").equipment
+        equipment = config.equipped(Equipment(grippers=True, props=(BLOCK,)), 0.002, "stiff").equipment
         assert [tool.name for tool in equipment.tools] == names
 
 

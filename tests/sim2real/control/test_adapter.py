@@ -446,7 +446,7 @@ def test_tcp_delta_rotates_about_the_axes_of_the_cell(axis: int) -> None:
 
 @pytest.mark.parametrize("tcp_m", [0.0, 0.15])
 def test_tcp_delta_rotates_about_the_tool_centre_point(tcp_m: float) -> None:
-    adapter = at_home(mode="tcp_delta", tcp_m=tcp_m)
+    adapter = at_home(mode="tcp_delta", tcp_m=(tcp_m, tcp_m))
     action = np.zeros((1, 2, 6))
     action[0, :, 3:] = [[0.5, 0.0, 0.2], [-0.3, 0.4, 0.0]]
     start, turned = flange_pose(adapter.commanded_q_rad[0], NOMINAL_DH)

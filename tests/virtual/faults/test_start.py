@@ -139,8 +139,8 @@ def test_44_an_arm_that_was_moved_before_the_answer_is_not_begun_with(lab, by_ra
 def test_44_a_first_target_away_from_the_arm_is_not_sent(lab, monkeypatch):
     lab.make()
     there = np.array([joints(lab, arm) for arm in ARMS])
-    before, note_moving = lab.programs(), lab.runner._lock.note_moving
-    monkeypatch.setattr(lab.runner._lock, "note_moving", lambda: note_moving() or moved(lab, "right", -0.0021))
+    before, note_moving = lab.programs(), lab.runner._claim.note_moving
+    monkeypatch.setattr(lab.runner._claim, "note_moving", lambda: note_moving() or moved(lab, "right", -0.0021))
     with pytest.raises(CellFaulted, match=r"right: a target is 0\.0021 rad from where the arm is at joint 3: allowed"):
         lab.runner.begin(there)
     assert len(lab.executed("right")) == 0

@@ -181,10 +181,10 @@ class Handover(StagedTask[HandoverSettings, HandoverMeasured, Facts]):
     | 25 | opening of the gripper | -0.1 | 0.1 | left/finger_1_joint ... left/finger_2_joint | position (m) |
     | 26-28 | force of the block on the gripper | -2000 | 2000 | left/wrench | force (N) |
     | 29-31 | torque of the block on the gripper about the flange | -2000 | 2000 | left/wrench | torque (N·m) |
-    | 32-34 | position of the block | -10 | 10 | block | position (m) |
-    | 35-38 | orientation of the block | -1.01 | 1.01 | block | quaternion |
-    | 39-41 | position of the target | -10 | 10 | target | position (m) |
-    | 42-45 | orientation of the target | -1.01 | 1.01 | target | quaternion |
+    | 32-34 | position of the block | -10 | 10 | block/block | position (m) |
+    | 35-38 | orientation of the block | -1.01 | 1.01 | block/block | quaternion |
+    | 39-41 | position of the target | -10 | 10 | target/target | position (m) |
+    | 42-45 | orientation of the target | -1.01 | 1.01 | target/target | quaternion |
     | 46-48 | position of the other flange in the frame of this one | -5 | 5 | right/flange | position (m) |
     | 49-52 | orientation of the other flange in the frame of this one | -1.01 | 1.01 | right/flange | quaternion |
     | 53 | opening of the other gripper | -0.1 | 0.1 | right/finger_1_joint ... right/finger_2_joint | position (m) |
@@ -290,8 +290,8 @@ class Handover(StagedTask[HandoverSettings, HandoverMeasured, Facts]):
         *ARM_FIELDS,
         gripper_field(),
         *wrench_fields("block"),
-        *pose_fields("block_base", "the block", "block"),
-        *pose_fields("target_base", "the target", "target"),
+        *pose_fields("block_base", "the block", "block/block"),
+        *pose_fields("target_base", "the target", "target/target"),
         *OTHER_FLANGE_FIELDS,
         gripper_field("other"),
         Field("role", 1, -1.01, 1.01, "sign", "role: 1 gives, -1 receives"),

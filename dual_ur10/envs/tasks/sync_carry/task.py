@@ -123,8 +123,8 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
     | 25 | opening of the gripper | -0.1 | 0.1 | left/finger_1_joint ... left/finger_2_joint | position (m) |
     | 26-28 | force of the bar on the gripper | -2000 | 2000 | left/wrench | force (N) |
     | 29-31 | torque of the bar on the gripper about the flange | -2000 | 2000 | left/wrench | torque (N·m) |
-    | 32-34 | position of the bar | -10 | 10 | bar | position (m) |
-    | 35-38 | orientation of the bar | -1.01 | 1.01 | bar | quaternion |
+    | 32-34 | position of the bar | -10 | 10 | bar/bar | position (m) |
+    | 35-38 | orientation of the bar | -1.01 | 1.01 | bar/bar | quaternion |
     | 39-41 | position of the bar's reference now | -10 | 10 | - | position (m) |
     | 42-45 | orientation of the bar's reference now | -1.01 | 1.01 | - | quaternion |
     | 46-48 | position of the bar's reference at the end of the next motion | -10 | 10 | - | position (m) |
@@ -224,7 +224,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         *ARM_FIELDS,
         gripper_field(),
         *wrench_fields("bar"),
-        *pose_fields("bar_base", "the bar", "bar"),
+        *pose_fields("bar_base", "the bar", "bar/bar"),
         *pose_fields("reference_base", "the bar's reference now"),
         *pose_fields("ahead_base", "the bar's reference at the end of the next motion"),
         *OTHER_FLANGE_FIELDS,

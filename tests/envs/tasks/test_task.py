@@ -57,11 +57,9 @@ def test_the_references_lie_on_the_sine():
         time, measured = core._state.time_s[:, None], task.measure(core._state)
         moved = (settings.displacement_m(time, task._phase[:, :1]) - zero)[:, :, None] * settings.direction
         assert np.abs(measured.reference_m - begin - moved).max() < 1e-14
-        ahead = settings.displacement_m(time + task.timing.ahead_s, task._phase[:, :1]) - settings.displacement_m(
-            time, task._phase
-        )
+        now, then = (settings.displacement_m(each, task._phase[:, :1]) for each in (time, time + task.timing.ahead_s))
         away = np.linalg.norm(measured.ahead_base_m - measured.reference_base_m, axis=2)
-        assert np.abs(away - np.abs(ahead)).max() < 1e-14
+        assert np.abs(away - np.abs(then - now)).max() < 1e-14
 
 
 def test_agents_of_the_sine_observe_the_other_flange_in_their_own_base():

@@ -501,7 +501,10 @@ class _World:
             raise UnknownNameError("body", body, ("block",))
         return np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
 
-    def place(self, pose: Any) -> None:
+    def joints(self, prop: str) -> dict[str, float]:
+        return {}
+
+    def place(self, pose: Any, prop: str = "") -> None:
         assert np.isfinite(pose).all()
 
     def push(self, arm: int, wrench: Any, duration_s: float) -> None:

@@ -39,6 +39,7 @@ def test_its_own_tests_pass(project):
 
 
 def test_it_is_as_well_kept_as_this_package(project):
+    pytest.importorskip("ruff")
     ruff = [sys.executable, "-m", "ruff"]
     select = ["--select", "E,F,W,UP,B,D", "--ignore", "D103,D105,D107"]
     select += ["--config", 'lint.pydocstyle.convention="google"']

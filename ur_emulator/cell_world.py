@@ -147,11 +147,12 @@ class CellWorld:
 
     def place(self, pose: Array, prop: str = "") -> None:
         """See `SimulatedWorld`."""
+        posed = [each.name for each in self.config.equipment.props if each.posed]
         free = [each.name for each in self.config.equipment.props if each.free]
-        if not free:
+        if not posed:
             raise SettingsError("this cell has no object to place")
-        if not prop and len(free) > 1:
-            raise SettingsError(f"prop is missing: name one of the objects of this cell, {', '.join(free)}")
+        if not prop and len(free) != 1:
+            raise SettingsError(f"prop is missing: name one of the objects of this cell, {', '.join(posed)}")
         self._physics.place(prop or free[0], pose)
 
     def push(self, arm: int, wrench: Array, duration_s: float) -> None:

@@ -207,6 +207,8 @@ class Prop:
             elif collides and self.rigid:
                 geom.solref, geom.solimp = stiff(timestep_s), RIGID
         if not visuals:
+            for each in (*own.geoms, *own.sites):
+                each.material = ""
             for each in (*own.materials, *own.textures):
                 own.delete(each)
         spec.attach(own, prefix=f"{self.name}/", frame=spec.worldbody.add_frame())
@@ -219,12 +221,13 @@ class Prop:
         """
         import mujoco
 
-        spec = mujoco.MjSpec()
-        self.add_to(spec, 0.002)
-        try:
-            spec.compile()
-        except ValueError as error:
-            raise SettingsError(f"the prop {self.name!r} cannot be compiled: {_reason(error)}") from error
+        for visuals in (True, False):
+            spec = mujoco.MjSpec()
+            self.add_to(spec, 0.002, visuals=visuals)
+            try:
+                spec.compile()
+            except ValueError as error:
+                raise SettingsError(f"the prop {self.name!r} cannot be compiled: {_reason(error)}") from error
 
 
 def check_props(props: Sequence[Prop]) -> tuple[Prop, ...]:
@@ -268,6 +271,9 @@ def _parsed(text: str, name: str) -> ET.Element:
         root = ET.fromstring(text)
     except ET.ParseError as error:
         raise SettingsError(f"the MJCF of the prop {name!r} is no XML: {error}") from error
+    for default in root.iter("default"):
+        if any(joint.get("type") for joint in default.findall("joint")):
+            raise SettingsError(f"the prop {name!r} has the type of joints in a default: state it in each joint")
     found = [each.tag for each in root]
     strange = [each for each in found if each not in _SECTIONS]
     if root.tag != "mujoco" or strange:

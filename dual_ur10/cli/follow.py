@@ -331,13 +331,14 @@ def follow_points(
 ) -> None:
     """Follow a trajectory on a slow link: both controllers interpolate between a few points per second.
 
-    The arms must stand at the first point: `follow --to FILE` brings them there. Ctrl-C stops both arms.
+    The arms must stand at the first point: `follow --to FILE --cell CELL` brings them there. Ctrl-C stops both arms.
     """
     from dual_ur10.sim2real.trajectory.files import read_trajectory
 
+    trajectory = read_trajectory(file, allow_partial=partial)  # before brakes are released
     if power:
         power_on(cell)
-    _stream(read_trajectory(file, allow_partial=partial), load_cell_file(cell), rate)
+    _stream(trajectory, load_cell_file(cell), rate)
 
 
 def _stream(trajectory: JointTrajectory, cell: CellFile, rate_hz: float, system: System = LOCAL) -> None:

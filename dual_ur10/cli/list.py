@@ -7,7 +7,6 @@ from rich.markup import escape
 from rich.table import Table
 
 from dual_ur10.cli.options import console
-from dual_ur10.errors import DualUR10Error
 from dual_ur10.ids import FAILED_ENTRY_POINTS, TASKS, discover
 from dual_ur10.policies.baselines import BASELINES
 from dual_ur10.policies.registry import names_for
@@ -30,7 +29,7 @@ def list_environments() -> None:
                 sizes = [" × ".join(map(str, space.shape or ())) for space in (env.action_space, env.observation_space)]
                 names = ", ".join((*names_for(env_id), *BASELINES))
                 table.add_row(f"[cyan]{env_id}[/]", f"{1 / core.timing.period_s:g} Hz", *sizes, names)
-        except DualUR10Error as error:
+        except Exception as error:  # tasks of others may raise anything
             failed.append(f"{env_id} cannot be made: {error}")
     console.print(table)
     for text in failed:

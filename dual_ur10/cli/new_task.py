@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import keyword
 import re
 from importlib.resources import files
+from importlib.util import find_spec
 from pathlib import Path
 from string import Template
 from typing import Annotated, Final
@@ -11,6 +13,7 @@ from typing import Annotated, Final
 import typer
 from rich.markup import escape
 
+from dual_ur10 import tasks as facade
 from dual_ur10.cli.options import console
 from dual_ur10.errors import SettingsError
 from dual_ur10.ids import is_registered
@@ -39,6 +42,8 @@ def new_task(
     if is_registered(env_id):
         raise SettingsError(f"there is a task {env_id} already: choose another name or namespace")
     package = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
+    if name in facade.__all__ or keyword.iskeyword(name) or keyword.iskeyword(package) or find_spec(package):
+        raise SettingsError(f"the name {name} is that of something else in Python or in a task: choose another")
     folder = out or Path(package)
     if folder.exists():
         raise SettingsError(f"{folder} exists: name a folder that does not, with --out")
@@ -50,7 +55,7 @@ def new_task(
         path.write_text(Template(text).substitute(values))
     console.print(f"wrote [bold cyan]{escape(str(folder))}[/]", highlight=False, soft_wrap=True)
     console.print(
-        f"pip install -e {escape(str(folder))}; python -m dual_ur10 evaluate {name}; pytest {escape(str(folder))}",
+        f"pip install -e {escape(str(folder))}; python -m dual_ur10 evaluate {env_id}; pytest {escape(str(folder))}",
         style="dim",
         highlight=False,
         soft_wrap=True,

@@ -22,6 +22,7 @@ from dual_ur10.ids import LEARNED_NAMES, TASKS, env_id_of, load_object
 from dual_ur10.policies.baselines import BASELINES
 from dual_ur10.policies.policy import Policy, policy_name
 from dual_ur10.sim2real.config.cell import CellConfig
+from dual_ur10.sim2real.config.cell_kinds import CELL_KINDS
 
 _OF_INTERFACES: Final = ("max_episode_steps", "render_mode", "threads")
 """Keywords of `gym.make` and `gym.make_vec` on which no policy depends."""
@@ -70,7 +71,10 @@ def shipped_folder(name: str, env_id: str) -> Path:
     if place is None:
         raise _missing(name, env_id)
     package, folder = place.split(":")
-    return Path(str(files(package) / folder))
+    try:
+        return Path(str(files(package) / folder))
+    except ModuleNotFoundError as error:
+        raise SettingsError(f"the policy {name!r} of {env_id} is to be in {place!r}: {error}") from error
 
 
 def shipped_names(env_id: str) -> list[str]:
@@ -238,9 +242,9 @@ def with_latency(policy: Policy | str, env_id: str, keywords: Mapping[str, Any])
     from dual_ur10.policies.learned.learned_policy import LearnedPolicy
 
     cell = keywords.get("cell", "mujoco")
-    if keywords.get("action_latency_ticks") is not None or not (
-        cell in ("mujoco", "echo") or isinstance(cell, CellConfig)
-    ):
+    simulated = isinstance(cell, CellConfig) or (isinstance(cell, str) and cell in CELL_KINDS)
+    kind = cell.kind if isinstance(cell, CellConfig) else cell
+    if keywords.get("action_latency_ticks") is not None or not simulated or CELL_KINDS[kind].controllers:
         return dict(keywords)
     if isinstance(policy, str):
         folder = shipped_folder(policy, env_id) if policy in LEARNED_NAMES else policy

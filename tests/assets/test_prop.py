@@ -24,7 +24,7 @@ from dual_ur10.sim2real.control.adapter import Command
 PEG = Prop(
     name="peg",
     mjcf="""<mujoco><asset><material name="red" rgba="1 0 0 1"/></asset><worldbody><body name="stick" pos="0 0 0.05">
-    <freejoint/><geom name="tip" type="box" size=".01 .01 .05" mass=".1"/>
+    <freejoint/><geom name="tip" type="box" size=".01 .01 .05" mass=".1" material="red"/>
     <geom type="box" size=".011 .011 .01" material="red" group="2" contype="0" conaffinity="0"/>
     </body></worldbody></mujoco>""",
     held=(Capsule((0, 0, -0.03), (0, 0, 0.03), 0.012), None),
@@ -167,6 +167,7 @@ def test_cameras_of_a_scene(config):
         ({"mjcf": xml(attributes="mocap='true'")}, "free joint and mocap"),
         ({"mjcf": xml("<joint/>")}, "without a name"),
         ({"mjcf": xml("<joint name='a' type='ball'/>")}, "of the type ball: use hinge or slide"),
+        ({"mjcf": xml("<joint name='a'/>", "<default><joint type='ball'/></default>")}, "type of joints in a default"),
         ({"noise": -1.0}, "noise of the prop 'peg' is -1"),
         ({"mass": float("nan")}, "must be 1 finite number"),
         ({"held": (None,)}, "each a Capsule or None"),

@@ -16,7 +16,7 @@ def project(tmp_path_factory):
     folder = tmp_path_factory.mktemp("new") / "reach_both"
     code, text = run("new-task", "ReachBoth", "--out", str(folder), "--namespace", "Lab")
     assert code == 0
-    assert "python -m dual_ur10 evaluate ReachBoth" in " ".join(text.split())
+    assert "python -m dual_ur10 evaluate Lab/ReachBoth-v0" in " ".join(text.split())
     return folder
 
 
@@ -56,6 +56,9 @@ def test_it_is_as_well_kept_as_this_package(project):
         (["Peg-v1"], "use letters and digits"),
         (["Handover", "--namespace", "DualUR10"], "another one than DualUR10"),
         (["Peg", "--out", "."], "name a folder that does not"),
+        (["Start"], "is that of something else"),
+        (["Json"], "is that of something else"),
+        (["Class"], "is that of something else"),
     ],
 )
 def test_bad_names_are_refused(arguments, text, tmp_path, monkeypatch):

@@ -1,8 +1,11 @@
 """The simulation behind two emulated controllers."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
+from dual_ur10.assets.props import TARGET
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.ur10 import NOMINAL_DH
@@ -102,6 +105,16 @@ def test_an_object_is_placed_at_rest():
         world.advance(standing(world), widths(world), world.gripper_kg)
     fallen, _ = world.pose("block")
     assert np.allclose(fallen, np.add(position, [0.05, -0.02, 0.0]), atol=5e-3)
+    there = np.array([0.1, -0.4, 0.02, 1.0, 0.0, 0.0, 0.0])
+    world.place(there, "target")
+    assert np.allclose(world.pose("target")[0], there[:3])
+    with pytest.raises(UnknownNameError, match="'brick'"):
+        world.place(there, "brick")
+    only = dataclasses.replace(world.config.equipment, props=(TARGET,))
+    world.config = dataclasses.replace(world.config, equipment=only)
+    world.place(there, "target")  # nothing free is needed
+    with pytest.raises(SettingsError, match=r"prop is missing: name one of .* target"):
+        world.place(there)
     with pytest.raises(SettingsError, match="no object"):
         world_of().place(np.array([0, 0, 0, 1, 0, 0, 0]))
 

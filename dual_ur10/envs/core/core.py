@@ -232,6 +232,7 @@ class Core:
         self._state = None  # if anything fails from here on, a reset is needed
         if self._hook is not None:
             self._hook.resetting(rngs, seed)
+        self.task.forget_load(rows)
         start = self.task.start(rows, rngs)
         sampled = {} if self._randomization.is_none else self._randomization.sample(rngs, len(self._sensing.tracked))
         seeds = [int(rng.integers(2**31)) for rng in rngs]

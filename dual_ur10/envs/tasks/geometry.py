@@ -112,6 +112,7 @@ class Grasps:
         held: tuple[int, int] = (0, 0),
         tools: tuple[Tool, Tool] = DEFAULT_TOOLS,
     ) -> None:
+        _check_indices("held", held, objects)
         n = len(grip_m)
         self._flange_m, self._flange_quat = np.zeros((n, 2, 3)), np.zeros((n, 2, 4))
         self._opening_m, self._poses = np.zeros((n, 2)), np.zeros((n, objects, 7))
@@ -236,6 +237,8 @@ class GoalSteps:
         in_bases: bool = False,
         tcp_m: Sequence[float] = (0.0, 0.0),
     ) -> None:
+        _check_indices("frame of a goal", [each.frame for each in goals], frames + 1, TOOL)
+        self._goals = len(goals)
         self.tools: Array = np.zeros((n, 2, 12))
         """(n, 2, 12) frames of the tools of the last call."""
         self._frames, self._goal = np.zeros((n, frames, 12)), np.zeros((n, 2), dtype=np.int64)
@@ -300,11 +303,16 @@ class GoalSteps:
             goal: Numbers of the goals of both tools, (n,) each; None: as in the last call, or the first and the second.
             rise_m: Heights added to the goals, likewise; None: as in the last call, or none.
             error_m: Errors of what an approached goal is at, from the farther behind it is approached; likewise.
+
+        Raises:
+            SettingsError: There is no goal of such a number.
         """
         given = self._q_rad if self._of_joints else self.tools
         given[...], self._frames[...] = tools, frames
         if goal is not None:
             self._goal[:, 0], self._goal[:, 1] = goal
+            if np.count_nonzero((self._goal < 0) | (self._goal >= self._goals)):
+                _check_indices("goal", self._goal.ravel().tolist(), self._goals)
         if rise_m is not None:
             self._rise_m[:, 0], self._rise_m[:, 1] = rise_m
         if error_m is not None:
@@ -332,6 +340,7 @@ class FrameDistances:
     """
 
     def __init__(self, n: int, frames: int, of: Sequence[int]) -> None:
+        _check_indices("of", of, frames)
         self.others: Array = np.zeros((n, len(of), 12))
         self._frames, self._found = np.zeros((n, frames, 12)), [np.zeros((n, len(of))) for _ in range(3)]
         moved_m, chord, axis_rad = self._found
@@ -355,6 +364,12 @@ class FrameDistances:
         self._compute()
         moved_m, chord, axis_rad = self._found
         return moved_m, chord, axis_rad
+
+
+def _check_indices(what: str, found: Sequence[int], count: int, least: int = 0) -> None:
+    """Refuse indices that the kernel would read beyond its arrays."""
+    if not all(least <= each < count for each in found):
+        raise SettingsError(f"{what} is {list(found)!r}: allowed are {least} to {count - 1}")
 
 
 def length(vectors: Array) -> Array:

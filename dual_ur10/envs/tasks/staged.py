@@ -60,7 +60,8 @@ def stage(
         earned: Value of the term of each role once the stage is passed, and factor of its progress until then.
         early: Roles that earn progress from the first step on, and not only once the stage before is passed.
         load_kg: Mass that the gripper of each role carries from when the stage before is passed until this one is; it
-            is declared to the controllers, with a ramp. None: nothing; and nothing is declared if no stage has a load.
+            is declared to simulated controllers, with a ramp. None: nothing; and nothing is declared if no stage has a
+            load. That of the last stage counts until the episode ends.
         coupled: Both arms hold one object in that time; see `Task.coupled`.
     """
 
@@ -105,7 +106,8 @@ class StagedTask(Task[SettingsT, MeasuredT], Generic[SettingsT, MeasuredT, NowT]
         found = {name: method for each in reversed(cls.__mro__) for name, method in vars(each).items()}
         cls._stages = tuple(method for method in found.values() if hasattr(method, "stage"))
         cls.stages = tuple(method.__name__ for method in cls._stages)
-        cls.couples = any(each.stage.coupled for each in cls._stages)  # type: ignore[attr-defined]
+        if "couples" not in vars(cls):
+            cls.couples = any(each.stage.coupled for each in cls._stages)  # type: ignore[attr-defined]
         cls.weights = {**{each.__name__: each.stage.weight for each in cls._stages}, FINISH: 1.0}  # type: ignore[attr-defined]
 
     def __init__(self, settings: SettingsT, cell: CellConfig, timing: Timing, n: int, duration_s: float) -> None:
@@ -122,9 +124,9 @@ class StagedTask(Task[SettingsT, MeasuredT], Generic[SettingsT, MeasuredT, NowT]
         self._earned: Array = (passed > number) * earned
         # By the number of stages passed, (stages + 1, ...): loads of the roles, and whether the arms are coupled.
         loads = [each.load_kg for each in marks]
-        self._loads_kg: Array = np.array([(0.0, 0.0) if each is None else each for each in (*loads, None)])
+        self._loads_kg: Array = np.array([(0.0, 0.0) if each is None else each for each in (*loads, loads[-1])])
         self._declares = any(each is not None for each in loads)
-        self._coupled: Mask = np.array([*(each.coupled for each in marks), False])
+        self._coupled: Mask = np.array([*(each.coupled for each in marks), marks[-1].coupled])
         self.passed = np.zeros(n, dtype=np.int64)
         self.first = np.zeros(n, dtype=np.int64)
         self._arms: Rows = np.arange(2 * n).reshape(n, 2)  # of each role, among the arms of all rows; and back

@@ -181,6 +181,11 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
         self._declared_kg = self._declared_kg + step
         return self._declared_kg
 
+    def forget_load(self, rows: Rows) -> None:
+        """Declare no load at the begin of episodes in `rows`. The stepping core calls it before `start`."""
+        self._declared_kg = self._declared_kg.copy()
+        self._declared_kg[rows] = 0.0
+
     def coupled(self) -> Mask:
         """Return the rows, (n,), whose arms hold one object between them, after the last evaluation.
 

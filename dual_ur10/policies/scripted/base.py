@@ -171,6 +171,9 @@ class Script(ScriptedPolicy):
         except StopIteration:
             if wish is None:
                 raise SettingsError(f"the script of {type(self).__name__} ended before its first wish") from None
+        except BaseException:
+            self._wishes[row] = None  # another call begins anew, instead of repeating the last wish
+            raise
         self._wishes[row] = wish
         joints = self.action(wish.q_rad.reshape(12), fields["commanded_q_rad"].reshape(12)).reshape(2, 6)
         return joints if wish.opening is None else np.concatenate([joints, wish.opening[:, None]], axis=1)

@@ -67,8 +67,8 @@ class Command(NamedTuple):
     Attributes:
         targets_rad: (n, ticks, 2, 6) servoj targets.
         gripper_m: (n, ticks, 2) width of each gripper; None: there are no grippers.
-        payload_kg: (n, 2) mass in each gripper at the end of the period, as set in the controller, which ramps to it
-            linearly; None: unchanged.
+        payload_kg: (n, 2) mass in each gripper at the end of the period, as set in a simulated controller, which ramps
+            to it linearly; None: unchanged.
         scaling: Largest time scaling of both arms from here on, for their distances; a simulated cell has none.
         coupled: Both arms hold one object between them, from here on; only two controllers need to know.
     """

@@ -120,6 +120,42 @@ class FixedTracker(ObjectTracker):
         return ObjectPose(self._position_m.copy(), self._quat.copy(), now_s)
 
 
+class CheckedTracker(ObjectTracker):
+    """Tracker of one's own, whose errors and whose poses that are none are those of a lost tracker.
+
+    Args:
+        tracker: The tracker.
+        prop: Its object.
+        where: Description of the tracker, for messages.
+    """
+
+    def __init__(self, tracker: ObjectTracker, prop: Prop, where: str) -> None:
+        self.tracker, self._prop, self._where = tracker, prop, where
+
+    def pose(self, now_s: float, flanges: Flanges) -> ObjectPose:
+        """See `ObjectTracker`."""
+        try:
+            found = ObjectPose(*self.tracker.pose(now_s, flanges))
+            position_m, quat = (np.asarray(each, dtype=np.float64) for each in found[:2])
+            age_s, joints = float(now_s - found.measured_s), {name: float(at) for name, at in found.joints.items()}
+        except Exception as error:  # of any kind: both arms must stop
+            raise LinkError(f"{self._where}: {error!r}") from error
+        if position_m.shape != (3,) or quat.shape != (4,) or not abs(float(np.linalg.norm(quat)) - 1.0) < _UNIT:
+            raise LinkError(f"{self._where}: found {position_m} and {quat}; expected are (3,) m and a unit quaternion")
+        if not (np.isfinite(position_m).all() and np.isfinite([*joints.values()]).all()):
+            raise LinkError(f"{self._where}: found {position_m} and {joints}; expected are finite numbers")
+        if set(joints) != set(self._prop.joints):
+            expected = ", ".join(self._prop.joints) or "none"
+            raise LinkError(f"{self._where}: found the joints {', '.join(joints) or 'none'}; expected are {expected}")
+        if not age_s <= STALE_S:
+            raise LinkError(f"{self._where}: the pose is {age_s:.2f} s old; expected is at most {STALE_S:g} s")
+        return ObjectPose(position_m, quat, found.measured_s, joints)
+
+    def close(self) -> None:
+        """Close the tracker. May be called twice."""
+        self.tracker.close()
+
+
 class _Seen(BaseModel):
     """Answer of the camera: position, and orientation (w, x, y, z), in the cell frame."""
 
@@ -127,7 +163,7 @@ class _Seen(BaseModel):
 
     position_m: Annotated[list[float], Field(min_length=3, max_length=3)]
     quat: Annotated[list[float], Field(min_length=4, max_length=4)]
-    joints: Annotated[dict[str, float], Field(max_length=20)] = {}
+    joints: Annotated[dict[str, float], Field(max_length=1000)] = {}
 
 
 class CameraTracker(ObjectTracker):
@@ -239,21 +275,21 @@ def trackers_of(cell_file: CellFile, props: Sequence[Prop], system: System = LOC
     found: dict[str, ObjectTracker] = {}
     with contextlib.ExitStack() as made:
         for prop in wanted:
-            found[prop.name] = _tracker_of(cell_file, prop.name, entries.get(prop.name), system)
+            found[prop.name] = _tracker_of(cell_file, prop, entries.get(prop.name), system)
             made.callback(found[prop.name].close)
         made.pop_all()
     return found
 
 
-def _tracker_of(cell_file: CellFile, prop: str, entry: Tracker | None, system: System) -> ObjectTracker:
+def _tracker_of(cell_file: CellFile, prop: Prop, entry: Tracker | None, system: System) -> ObjectTracker:
     if isinstance(entry, AttachedTrackerEntry):
         return FlangeTracker(entry.arm, entry.position_m, quat_from_rotvec(entry.rotation_rad))
     if isinstance(entry, GivenTrackerEntry):
         return FixedTracker(entry.position_m, quat_from_rotvec(entry.rotation_rad))
     if isinstance(entry, OwnTrackerEntry):
-        tracker = load_object(entry.tracker, f"the tracker of the prop {prop!r}")
+        tracker = load_object(entry.tracker, f"the tracker of the prop {prop.name!r}")
         try:
-            made = tracker(prop, **entry.keywords)
+            made = tracker(prop.name, **entry.keywords)
         except TypeError as error:
             raise SettingsError(
                 f"{cell_file.source}: the tracker {entry.tracker!r} cannot be made of the name of the prop and the "
@@ -261,8 +297,8 @@ def _tracker_of(cell_file: CellFile, prop: str, entry: Tracker | None, system: S
             ) from error
         if not isinstance(made, ObjectTracker):
             raise SettingsError(f"{cell_file.source}: {entry.tracker!r} is no subclass of {ObjectTracker.__qualname__}")
-        return made
+        return CheckedTracker(made, prop, f"the tracker {entry.tracker} of the prop {prop.name!r}")
     if cell_file.emulator is None:
         raise CellFileError(f"{cell_file.source}: the camera of an emulated cell needs the table [emulator]")
     link = JsonLink("emulated camera", cell_file.left.host, cell_file.emulator.port, _ANSWER_S, system=system)
-    return CameraTracker(link, prop, entry or EmulatedTrackerEntry(prop=prop), system=system)
+    return CameraTracker(link, prop.name, entry or EmulatedTrackerEntry(prop=prop.name), system=system)

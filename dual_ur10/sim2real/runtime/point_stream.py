@@ -161,7 +161,8 @@ class PointStream(ProgrammedArms):
             found, allowed = distinguishable(float(off.max()), _NEAR_RAD)
             raise TrajectoryError(
                 f"the path begins {found} rad from where joint {joint} of the {ARMS[arm]} arm is, allowed are "
-                f"{allowed}: bring the arms to its first point, as `follow --to FILE` does, or begin where they are"
+                f"{allowed}: bring the arms to its first point, as `follow --to FILE --cell CELL` does, or begin where "
+                "they are"
             )
         if not self._confirm(f"Both arms follow a path of {path.duration_s:.1f} s from where they are."):
             raise StartError("the motion was not confirmed: nothing has moved")

@@ -17,6 +17,7 @@ from typing import Any, Final
 import numpy as np
 
 from dual_ur10.errors import ClosedError, DualUR10Error, LinkError, SettingsError, StartError
+from dual_ur10.kinematics.frames import Frames
 from dual_ur10.kinematics.poses import Poses
 from dual_ur10.kinematics.rotations import quat_conjugate, quat_from_rotvec, quat_multiply, rotate
 from dual_ur10.kinematics.ur10 import ARMS
@@ -122,6 +123,7 @@ class RtdeCell:
         self._temperature = [TemperatureWarning(name) for name in ARMS]
         self._grippers: Grippers | None = None
         self._trackers: dict[str, ObjectTracker] = {}
+        self._frames = Frames((config.left, config.right))
         self._placer: ObjectPlacer | None = None
         self._garbage = system.garbage()
         self._relax = system.hurry()  # this program owes actions in time, also while a training fills the machine
@@ -195,12 +197,12 @@ class RtdeCell:
         runner.check()
         self.finish()
         runner.cell.limit_scaling(1.0)
-        runner.cell.couple(False)
         if runner.begun:
             runner.wait_for(runner.end)
             now = runner.last()
         else:
             now = np.array([each.q_rad for each in runner.statuses()])
+        runner.cell.couple(False)  # the arms rest
         goal = np.array(start.q_rad, dtype=np.float64).reshape(2, 6)
         if self._only is not None:
             goal[1 - self._only] = now[1 - self._only]
@@ -463,9 +465,9 @@ class RtdeCell:
             wrench = np.array([_wrench_at_flange(each) for each in statuses])
         time_s = self._elapsed * self._tick_s
         state = self._mirror.follow(time_s, q, qd / slow, gripper_m=widths, wrench=wrench)
-        if not self._trackers or state.flange_quat is None:
+        if not self._trackers:
             return state
-        flanges = Flanges(state.flange_m[0], state.flange_quat[0])
+        flanges = Flanges(state.flange_m[0], self._frames.quat_to_cell(state.flange_base_quat)[0])
         now_s = self.system.clock.now_s()
         seen = {name: tracker.pose(now_s, flanges) for name, tracker in self._trackers.items()}
         posed = {each.name for each in self.config.equipment.props if each.posed}

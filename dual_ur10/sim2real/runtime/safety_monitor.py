@@ -152,8 +152,11 @@ class SafetyMonitor:
         Call it once all received states are processed: an older state of one arm does not match the newest of the
         other.
         """
+        if not self._cell.coupled:
+            self._apart, self._fresh = 0, [False for _ in ARMS]
+            return None
         latest = [each for each, fresh in zip(self._latest, self._fresh, strict=True) if each is not None and fresh]
-        if not self._cell.coupled or len(latest) < len(ARMS):
+        if len(latest) < len(ARMS):
             return None
         self._fresh = [False for _ in ARMS]
         sent = self._sent_for_both(0) if all(memory.sent_count for memory in self._arms) else None

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from dual_ur10 import ArmMount
 from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85
 from dual_ur10.envs.tasks.geometry import TOOL, FrameDistances, Goal, GoalSteps, Grasps, frame_of
+from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics import flange_pose_quat
 from dual_ur10.kinematics.frames import Frames
 from dual_ur10.kinematics.poses import Poses, compose, relative_to, rotation_angle
@@ -149,3 +150,18 @@ def test_each_gripper_has_a_width_and_fingers_of_its_own():
     assert found.opened == pytest.approx(np.clip(wider / [0.085 - WIDTH_M, 0.1], 0.0, 1.0))
     assert found.closed == pytest.approx(np.maximum(1.0 - np.abs(wider) / [0.085 - WIDTH_M, 0.1], 0.0))
     assert found.cleared == pytest.approx(np.clip(wider / 0.007, 0.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("make", "text"),
+    [
+        (lambda: Grasps(FRAMES, np.zeros((N, 2, 3)), WIDTH_M, 2, (0, 2)), r"held is \[0, 2\]: allowed are 0 to 1"),
+        (lambda: GoalSteps(N, 2, [Goal(3)]), r"frame of a goal is \[3\]: allowed are -1 to 2"),
+        (lambda: GoalSteps(N, 2, [Goal(-2)]), "frame of a goal"),
+        (lambda: FrameDistances(N, 2, [0, 2]), r"of is \[0, 2\]"),
+        (lambda: GoalSteps(1, 1, [Goal(0)])(np.zeros((1, 2, 12)), np.zeros((1, 1, 12)), (0, 1)), r"goal is \[0, 1\]"),
+    ],
+)
+def test_indices_beyond_the_arrays_are_refused(make, text):
+    with pytest.raises(SettingsError, match=text):
+        make()

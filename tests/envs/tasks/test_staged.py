@@ -186,3 +186,47 @@ def test_decisions_of_rows_are_those_of_one_row_each(rows):
     found = cases(Case(*np.array(rows).T))
     for row, each in enumerate(rows):
         assert cases(Case(*each)) == decide(Case(*each)) == Decision(found.speed[row], tuple(found.pair[:, row]))
+
+
+class Hold(Errand):
+    """Ends while both arms hold something."""
+
+    @stage(weight=0.1, load_kg=(1.0, 2.0), coupled=True)
+    def hold(self, now):
+        return now.passes[:, 2], now.progress[:, 2, 0]
+
+
+class Own(StagedTask):
+    """States by itself when its arms are coupled."""
+
+    limits = MotionLimits()
+    layout = ObservationLayout(*ARM_FIELDS)
+    couples = True
+
+    @stage(weight=0.1)
+    def wait(self, now):
+        return now.passes[:, 2], now.progress[:, 2, 0]
+
+
+Hold.__abstractmethods__ = Own.__abstractmethods__ = frozenset()
+
+
+def test_the_marks_of_the_last_stage_count_until_the_end():
+    task = Hold(None, CellConfig(), TIMING, N, 2.0)
+    task.begin_rows(np.arange(N), 0)
+    task.passed[:] = len(task.stages)
+    assert task.coupled().all()
+    assert task.load_kg().tolist() == [[1.0, 2.0]] * N
+    assert not begun().coupled().any()
+    assert Own.couples
+
+
+def test_no_load_is_declared_at_the_begin_of_an_episode():
+    task = begun()
+    task.passed[:] = 1
+    for _ in range(30):
+        task.payload_kg()
+    before = task.payload_kg()
+    task.forget_load(np.array([1, 3]))
+    assert before.tolist() == [[0.5, 1.0]] * N  # it is the caller's
+    assert task._declared_kg.tolist() == [[0.5, 1.0], [0.0, 0.0]] * 2

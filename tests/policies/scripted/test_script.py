@@ -37,6 +37,20 @@ class Grip(Script):
         yield Wish(fields["commanded_q_rad"], np.array([1.0, -1.0]))
 
 
+class Stumble(Script):
+    """Fails in the second step of its first episode."""
+
+    task = SineTracking
+    failed = False
+
+    def script(self, fields):
+        yield Wish(fields["q_rad"])
+        if not self.failed:
+            self.failed = True
+            raise SettingsError("out of reach")
+        yield Wish(fields["q_rad"] + 1.0)
+
+
 class Nothing(Script):
     """No wish at all."""
 
@@ -109,3 +123,13 @@ def test_a_script_without_a_wish_and_another_number_of_rows_are_refused():
     policy(SEEN[0])
     with pytest.raises(ActionError, match="2 observations after 3"):
         policy(SEEN[0, :2])
+
+
+def test_a_script_that_failed_begins_anew():
+    policy = Stumble(TIMING, "joint_position")
+    policy(SEEN[0][0])
+    with pytest.raises(SettingsError, match="out of reach"):
+        policy(SEEN[1][0])
+    wanted = SineTracking.layout.split(SEEN[2][0])["q_rad"].ravel()
+    assert policy(SEEN[2][0]) == pytest.approx(wanted, abs=1e-6)  # not the wish before
+    assert policy(SEEN[3][0]) == pytest.approx(wanted + 1.0, abs=1e-6)

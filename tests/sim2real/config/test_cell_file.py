@@ -892,3 +892,11 @@ def test_the_documents_example_is_legal(tmp_path: Path) -> None:
 
 def test_the_error_is_a_settings_error() -> None:
     assert issubclass(CellFileError, SettingsError)
+
+
+def test_a_file_of_a_task_that_is_not_installed_can_be_read(tmp_path: Path) -> None:
+    """Else its latched stop could not be cleared."""
+    cell = cell_of(SMALL, task="MyLab/Peg-v3", emulator={"port": 4000, "task": "MyLab/Peg-v3"})
+    assert (cell.task, cell.emulator.task) == ("MyLab/Peg-v3", "MyLab/Peg-v3")
+    for wrong in ("DualUR10/Peg-v3", "Peg", "MyLab/Peg"):
+        assert "the id of an environment" in refused(tmp_path, edited(SMALL, task=wrong))

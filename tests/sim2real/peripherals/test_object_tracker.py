@@ -116,7 +116,7 @@ class NoTracker:
 def test_a_tracker_of_ones_own(file, system):
     entry = OwnTrackerEntry(prop="case", tracker=f"{__name__}:LidCamera", options="lid_rad=0.5")
     tracker = trackers_of(file.replace(emulator=None, tracker=(entry,)), (CASE,), system)["case"]
-    assert (tracker.prop, tracker.pose(7.0, FLANGES).joints) == ("case", {"lid": 0.5})
+    assert (tracker.tracker.prop, tracker.pose(7.0, FLANGES).joints) == ("case", {"lid": 0.5})
     for changes, text in (
         ({"tracker": "no_such_module_here:X"}, "the tracker of the prop 'case', .* cannot be imported"),
         ({"options": "colour=red"}, "cannot be made of the name of the prop and the options colour=red"),
@@ -124,6 +124,42 @@ def test_a_tracker_of_ones_own(file, system):
     ):
         with pytest.raises(SettingsError, match=text):
             trackers_of(file.replace(emulator=None, tracker=(entry.replace(**changes),)), (CASE,), system)
+
+
+class AnyCamera(ObjectTracker):
+    """Tracker whose answers are given."""
+
+    answer = None
+
+    def __init__(self, prop):
+        pass
+
+    def pose(self, now_s, flanges):
+        return self.answer(now_s)
+
+
+@pytest.mark.parametrize(
+    ("answer", "text"),
+    [
+        (lambda now: 1 / 0, "ZeroDivisionError"),
+        (lambda now: None, "TypeError"),
+        (lambda now: ObjectPose(np.zeros(2), QUARTER, now, {"lid": 0.0}), "expected are"),
+        (lambda now: ObjectPose(np.full(3, np.nan), QUARTER, now, {"lid": 0.0}), "finite"),
+        (lambda now: ObjectPose(np.zeros(3), 2 * QUARTER, now, {"lid": 0.0}), "unit quaternion"),
+        (lambda now: ObjectPose(np.zeros(3), np.full(4, np.nan), now, {"lid": 0.0}), "unit quaternion"),
+        (lambda now: ObjectPose(np.zeros(3), QUARTER, now, {"lid": np.inf}), "finite"),
+        (lambda now: ObjectPose(np.zeros(3), QUARTER, now), "found the joints none; expected are lid"),
+        (lambda now: ObjectPose(np.zeros(3), QUARTER, now, {"door": 0.0}), "found the joints door"),
+        (lambda now: ObjectPose(np.zeros(3), QUARTER, now - 0.6, {"lid": 0.0}), "0.60 s old"),
+        (lambda now: ObjectPose(np.zeros(3), QUARTER, np.nan, {"lid": 0.0}), "s old"),
+    ],
+)
+def test_what_a_tracker_of_ones_own_gets_wrong_is_a_lost_tracker(file, system, monkeypatch, answer, text):
+    monkeypatch.setattr(AnyCamera, "answer", staticmethod(answer))
+    entry = OwnTrackerEntry(prop="case", tracker=f"{__name__}:AnyCamera")
+    tracker = trackers_of(file.replace(emulator=None, tracker=(entry,)), (CASE,), system)["case"]
+    with pytest.raises(LinkError, match=f"the tracker .*AnyCamera of the prop 'case': .*{text}"):
+        tracker.pose(7.0, FLANGES)
 
 
 # The emulated camera.

@@ -327,6 +327,18 @@ def test_an_e_series_tolerates_errors_as_long_as_a_cb3(parts):
     assert [each is None for each in said] == [True] * 11 + [False] * 3
 
 
+def test_errors_before_the_arms_let_go_do_not_count_later(parts):
+    _, cell = parts
+    monitor, found = watch(parts, coupled=True), []
+    bad = at(moved(1, (0.0, 0.02, 0.0)), HOME_Q_RAD[1])
+    for coupled in (True, True, False, True, True, True):
+        cell.couple(coupled)
+        monitor.state(0, at(HOME_Q_RAD[0]))
+        monitor.state(1, bad)
+        found.append(monitor.relative_pose())
+    assert [each is None for each in found] == [True] * 5 + [False]
+
+
 # What the processes show.
 
 

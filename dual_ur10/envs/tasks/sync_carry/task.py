@@ -191,7 +191,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
     |-----------|------|---------|-------------|
     | `duration_s` | float | `30.0` | length of the path: 30 or 60 (s) |
     | `grasp` | str | `"friction"` | "friction", or "rigid": welded to the bar |
-    | `payload` | str | `"known"` | "known": each arm's load is declared to its controller; or "unknown" |
+    | `payload` | str | `"known"` | "known": each arm's load is declared to its simulated controller; or "unknown" |
     | `grip_force_n` | float | `100.0` | force of each finger, 20 to 235 (N) |
     | `object_range_m` | float | `0.02` | initial position of the bar, ± along x and y (m) |
     | `object_turn_rad` | float | `0.05` | initial yaw of the bar, ± (rad) |

@@ -270,7 +270,7 @@ class Claim:
         self.latch = Latch(file, system)
         self.latch.check()
         self._lock = CellLock(file, system)
-        self._in_order = True
+        self._in_order, self._unlatched = True, ""
         try:
             if self._lock.left_moving:
                 self.latch.set("the program that moved the arms before ended without stopping them in order")
@@ -283,14 +283,17 @@ class Claim:
         """Note on the disk that arms move, until their stop was seen or is latched.
 
         Raises:
+            CellFaulted: A stop could not be latched before.
             SettingsError: The note cannot be written.
         """
+        if self._unlatched:
+            raise CellFaulted(f"both arms were stopped before, which could not be latched: {self._unlatched}")
         self._lock.note_moving()
         self._in_order = False
 
     def note_stopped(self, seen: bool = True) -> None:
         """Note whether all arms were seen to have stopped, or not to have begun."""
-        self._in_order = seen
+        self._in_order = seen and not self._unlatched
 
     def latch_stop(self, reason: str) -> None:
         """Latch a stop of both arms. If that fails, the note of moving arms stays."""
@@ -299,6 +302,7 @@ class Claim:
             self.latch.set(reason)
             self._in_order = True
         except OSError as error:
+            self._unlatched = reason
             log.error("both arms were stopped (%s), and the fault cannot be latched: %s", reason, error)
 
     def release(self) -> None:

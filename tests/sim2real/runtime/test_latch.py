@@ -430,3 +430,17 @@ def test_a_forked_process_does_not_keep_the_lock(cell):
         CellLock(cell).release()
     finally:
         os.close(write)
+
+
+def test_a_stop_that_was_not_latched_is_not_forgotten_by_a_second_motion(cell, monkeypatch):
+    claim = Claim(cell)
+    claim.note_moving()
+    with monkeypatch.context() as patch:
+        patch.setattr(claim.latch, "set", lambda reason: (_ for _ in ()).throw(OSError("no space")))
+        claim.latch_stop("an arm was too fast")
+    with pytest.raises(CellFaulted, match="could not be latched: an arm was too fast"):
+        claim.note_moving()
+    claim.note_stopped()  # as after a motion that ends well
+    claim.release()
+    with pytest.raises(CellFaulted, match="ended without stopping them in order"):
+        Claim(cell)

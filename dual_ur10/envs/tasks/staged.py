@@ -138,8 +138,7 @@ class StagedTask(Task[SettingsT, MeasuredT], Generic[SettingsT, MeasuredT, NowT]
         self.first[rows] = first
         self._arms[rows] = 2 * rows[:, None] + np.stack([self.first[rows], 1 - self.first[rows]], axis=1)
         self._roles = self._arms.T.copy()
-        self._declared_kg = self._declared_kg.copy()
-        for values in (self.passed, self._count, self._settled, self._declared_kg):
+        for values in (self.passed, self._count, self._settled):
             values[rows] = 0
 
     def by_role(self, values: NDArray[Any] | tuple[Number, Number]) -> tuple[Number, Number]:

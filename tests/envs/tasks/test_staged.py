@@ -159,6 +159,7 @@ def test_the_declared_load_of_each_row_follows_its_stage_with_a_ramp():
     declared = [task.payload_kg() for _ in range(14)]
     assert declared[0][2].tolist() == pytest.approx([0.08, 0.08])
     assert declared[-1].tolist() == task.load_kg().tolist()
+    task.forget_load(np.array([2]))
     task.begin_rows(np.array([2]))
     assert not task.payload_kg()[2, 1]
 

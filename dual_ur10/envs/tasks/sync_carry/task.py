@@ -292,7 +292,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
             nearest(position[:, arm], quat_to_matrix(quat[:, arm]), home[arm], mount.dh)
             for arm, mount in enumerate(mounts)
         ]
-        for values in (self._count, self._declared_kg, self._load, self._worst_slip, self._squares, self._carried):
+        for values in (self._count, self._load, self._worst_slip, self._squares, self._carried):
             values[rows] = 0
         opening = None if settings.rigid else np.tile(strokes_m(self.cell.equipment.tools), (len(rows), 1))
         objects = {"bar": np.concatenate(bar, axis=1)}

@@ -5,11 +5,14 @@ import os
 import random
 import signal
 
+import gymnasium
 import hypothesis
 import numpy as np
+import pettingzoo
 import pytest
 from hypothesis.internal.conjecture import providers
 
+from dual_ur10 import ids
 from tests.busy_machine import BusyMachine
 from tests.progress import Progress
 from tests.soak import SOAK
@@ -117,3 +120,15 @@ def _state_home(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         yield
+
+
+@pytest.fixture
+def registries():
+    """What a test registers is forgotten after it."""
+    found = [ids.TASKS, ids.FAILED_ENTRY_POINTS, gymnasium.registry]
+    found += [pettingzoo.parallel_registry, pettingzoo.aec_registry]
+    before = [set(each) for each in found]
+    yield
+    for registry, names in zip(found, before, strict=True):
+        for name in set(registry) - names:
+            del registry[name]

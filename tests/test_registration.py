@@ -8,7 +8,6 @@ import sys
 from typing import Any, ClassVar
 
 import gymnasium as gym
-import pettingzoo
 import pytest
 
 from dual_ur10 import ids, policies
@@ -44,17 +43,9 @@ class LaterReach(SineTracking):
 
 
 @pytest.fixture
-def register():
+def register(registries):
     """Return `register`; what it registers is forgotten after the test."""
-    registries: list[dict[str, Any]] = [
-        *(TASKS, ids.FAILED_ENTRY_POINTS, gym.registry),
-        *(pettingzoo.parallel_registry, pettingzoo.aec_registry),
-    ]
-    before = [set(each) for each in registries]
-    yield register_task
-    for registry, names in zip(registries, before, strict=True):
-        for name in set(registry) - names:
-            del registry[name]
+    return register_task
 
 
 @pytest.fixture

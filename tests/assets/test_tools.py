@@ -21,8 +21,8 @@ from dual_ur10.envs.core.options import MOVE_TO_START
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies import load
-from dual_ur10.sim2real.analysis import reconstruction
 from dual_ur10.sim2real.config.cell import CellConfig
+from dual_ur10.sim2real.recording.header import built as built_of
 from dual_ur10.sim2real.recording.header import plain
 
 MIXED = GENERIC_140, ROBOTIQ_2F85
@@ -137,7 +137,7 @@ def test_a_handover_between_different_tools(tools):
 def test_a_record_holds_tools():
     for tools in (("generic_140", "robotiq_2f85"), (OWN, GENERIC_140)):
         config = CellConfig(tools=tools)
-        again = reconstruction._built(CellConfig, json.loads(json.dumps(plain(config))))
+        again = built_of(CellConfig, json.loads(json.dumps(plain(config))))
         assert again == config
         assert hash(again.equipment) == hash(config.equipment)
 

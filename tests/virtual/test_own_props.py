@@ -6,10 +6,8 @@ from dataclasses import dataclass
 
 import gymnasium as gym
 import numpy as np
-import pettingzoo
 import pytest
 
-from dual_ur10.ids import TASKS
 from dual_ur10.tasks import (
     ARM_FIELDS,
     Equipment,
@@ -72,16 +70,9 @@ class Mark(Look):
 
 
 @pytest.fixture(autouse=True)
-def _tasks():
-    """Register both tasks, and forget them after a test."""
-    kept = [TASKS, gym.registry, pettingzoo.parallel_registry, pettingzoo.aec_registry]
-    before = [set(each) for each in kept]
+def _tasks(registries):
     register("Lab/Look-v0")(Look)
     register("Lab/Mark-v0")(Mark)
-    yield
-    for each, names in zip(kept, before, strict=True):
-        for name in set(each) - names:
-            del each[name]
 
 
 @pytest.mark.parametrize("name", ["Look", "Mark"])

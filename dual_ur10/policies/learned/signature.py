@@ -25,7 +25,7 @@ from dual_ur10.policies.learned.schema import JsonList, Numbers, Object, StrictJ
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.control.adapter import ActionMode, ServojAdapter
 from dual_ur10.sim2real.control.servoj import ServojProfile
-from dual_ur10.sim2real.recording.header import plain
+from dual_ur10.sim2real.recording.header import built, field_types, plain
 from dual_ur10.types import Array
 
 OPTIONS: Final = ("policy_rate_hz", "action_mode", "action_latency_ticks", "compensate_lag", "randomization")
@@ -256,8 +256,8 @@ def view_of_signature(signature: EnvironmentSignature) -> EnvironmentView:
     Raises:
         CheckpointError: Its keywords make no environment.
     """
-    kind = load_task(signature.env_id)
-    known = [*OPTIONS, *(each.name for each in dataclasses.fields(kind.settings_type))]
+    kind = load_task(signature.env_id).settings_type
+    known = [*OPTIONS, *(each.name for each in dataclasses.fields(kind))]
     for name in signature.kwargs:
         if name not in known:
             raise CheckpointError(f"kwargs has an unknown {name!r:.80}: allowed are {', '.join(known)}")
@@ -265,7 +265,10 @@ def view_of_signature(signature: EnvironmentSignature) -> EnvironmentView:
     try:
         left, right = (default_mount(arm, name) for arm, name in enumerate(robot.names))
         cell = CellConfig(left=left, right=right, servoj=ServojProfile(robot.family, robot.lookahead_s, robot.gain))
-        return view_of(signature.env_id, {**signature.kwargs, "cell": cell})
+        types = field_types(kind)
+        keywords = dict(signature.kwargs)
+        keywords |= {name: built(types[name], keywords[name]) for name in types.keys() & keywords.keys()}
+        return view_of(signature.env_id, {**keywords, "cell": cell})
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
         raise CheckpointError(f"its kwargs make no environment: {error!s:.300}") from error
 

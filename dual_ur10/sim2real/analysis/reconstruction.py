@@ -4,26 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import fields
 from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from dual_ur10.assets.obstacles import Box, Capsule, Plane
-from dual_ur10.assets.settings import Equipment
-from dual_ur10.assets.tool import Tool
-from dual_ur10.errors import CellFileError, RecordingError, SettingsError, UnknownNameError
+from dual_ur10.envs.core.setup import load_task
+from dual_ur10.errors import CellFileError, DualUR10Error, RecordingError, SettingsError, UnknownNameError
 from dual_ur10.ids import TASKS, is_registered
-from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.rotations import quat_conjugate, quat_multiply, quat_to_rotvec
-from dual_ur10.kinematics.ur10 import ARMS, TICK_S, DHParameters
+from dual_ur10.kinematics.ur10 import ARMS, TICK_S
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.config.cell_file import examine_text, resolve_cell
-from dual_ur10.sim2real.config.perturbation import Perturbation
 from dual_ur10.sim2real.control.servoj import ServojProfile
-from dual_ur10.sim2real.recording.header import findings, mounts_of
+from dual_ur10.sim2real.recording.header import built, field_types, findings, mounts_of
 from dual_ur10.sim2real.recording.run import Episode, Header, Run
 
 BASE_M: Final = 0.05
@@ -49,23 +44,12 @@ _SIMULATED: Final = ("randomization", "observation", "cameras", "pixels_rate_hz"
 
 _LATENCY: Final = "action_latency_ticks"
 
-_KINDS: Final[dict[type[Any], dict[str, type[Any]]]] = {
-    CellConfig: {
-        "left": ArmMount,
-        "right": ArmMount,
-        "servoj": ServojProfile,
-        "perturbation": Perturbation,
-        "equipment": Equipment,
-    },
-    ArmMount: {"dh": DHParameters},
-}
-"""Dataclasses within dataclasses."""
-
 
 def keywords_of(header: Header, cell: str | Path | CellConfig | None = None) -> dict[str, Any]:
     """Return the keywords of `gym.make` for the environment of a recorded run.
 
-    The action latency is the recorded one, or that of the cell if it is longer.
+    The action latency is the recorded one, or that of the cell if it is longer. A recorded `CellConfig` of any kind is
+    simulated with MuJoCo: no record makes another cell than the one that the caller names.
 
     Args:
         header: Header of the run.
@@ -80,21 +64,34 @@ def keywords_of(header: Header, cell: str | Path | CellConfig | None = None) -> 
             "recorded it, or install the package that brings the task"
         )
     left_out = _VISUAL if cell is None and header.source == "mujoco" else _SIMULATED
-    keywords = {name: value for name, value in header.kwargs.items() if name not in (*left_out, "task")}
+    keywords = _typed({name: each for name, each in header.kwargs.items() if name not in (*left_out, "task")}, header)
     keywords[_LATENCY] = header.latency_ticks
     if cell is not None:
         needed = resolve_cell(cell).latency_ticks
         return {**keywords, "cell": cell, _LATENCY: max(header.latency_ticks, needed)}
     try:
-        if header.source != "mujoco":
+        if header.cell_file is None and isinstance(keywords.get("cell"), Mapping):
+            keywords["cell"] = built(CellConfig, {**keywords["cell"], "kind": "mujoco"})
+        elif header.source != "mujoco":
             keywords["cell"] = _simulated(header)
-        elif isinstance(keywords.get("cell"), Mapping):
-            keywords["cell"] = _built(CellConfig, keywords["cell"])
         elif keywords.get("cell", "mujoco") != "mujoco":
             # A path would name real arms, which nobody asked to move.
             raise SettingsError(f"it is {keywords['cell']!r:.80}, and a simulated run's is not a file")
     except (SettingsError, UnknownNameError, LookupError, TypeError, ValueError) as error:
         raise RecordingError(f"the cell of the recording is not legal: {error}. It is damaged") from error
+    return keywords
+
+
+def _typed(keywords: dict[str, Any], header: Header) -> dict[str, Any]:
+    """Return keywords, with those of the task as values of the types that its settings state."""
+    types = field_types(load_task(header.env_id).settings_type)
+    for name in types.keys() & keywords.keys():
+        try:
+            keywords[name] = built(types[name], keywords[name])
+        except (DualUR10Error, LookupError, TypeError, ValueError) as error:
+            raise RecordingError(
+                f"the keyword {name} of the recording is not legal: {error}. It is damaged, or of another version"
+            ) from error
     return keywords
 
 
@@ -114,34 +111,6 @@ def _simulated(header: Header) -> CellConfig:
     profile = header.servoj[0]
     servoj = ServojProfile(header.family, profile["lookahead_s"], profile["gain"])
     return CellConfig(left=left, right=right, servoj=servoj)
-
-
-def _built(kind: type[Any], values: Mapping[str, Any]) -> Any:
-    """Return a dataclass and those nested in it from the output of `dataclasses.asdict` and JSON."""
-    known = [each.name for each in fields(kind)]
-    inner: dict[str, Any] = {}
-    for name, value in values.items():
-        if name not in known:
-            raise UnknownNameError(kind.__name__, str(name), known)
-        if name == "tools" and value is not None:
-            inner[name] = tuple(_built(Tool, each) for each in value)
-            continue
-        if name == "obstacles":
-            inner[name] = tuple(map(_obstacle, value))
-            continue
-        within = _KINDS.get(kind, {}).get(name)
-        inner[name] = _built(within, value) if within else tuple(value) if isinstance(value, list) else value
-    return kind(**inner)
-
-
-def _obstacle(values: Mapping[str, Any]) -> Any:
-    """Return the obstacle that has fields of these names."""
-    for kind in (Box, Capsule, Plane):
-        if values.keys() <= {each.name for each in fields(kind)}:
-            return _built(kind, values)
-    raise UnknownNameError(
-        "obstacle with the values", ", ".join(map(str, values)), [], "those of Box, Capsule or Plane"
-    )
 
 
 class _BitGenerator(BaseModel):

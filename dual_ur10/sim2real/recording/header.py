@@ -11,12 +11,13 @@ from dataclasses import asdict, fields, is_dataclass
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any, Final
+from types import UnionType
+from typing import Any, Final, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from dual_ur10.errors import RecordingError, SettingsError
+from dual_ur10.errors import RecordingError, SettingsError, UnknownNameError
 from dual_ur10.ids import __version__
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.ur10 import DHParameters, nominal_dh
@@ -134,7 +135,7 @@ def plain(value: Any) -> Any:
         return [plain(each) for each in value]
     if is_dataclass(value) and not isinstance(value, type):
         default = _default(type(value))
-        pairs = ((field.name, getattr(value, field.name)) for field in fields(value))
+        pairs = ((field.name, getattr(value, field.name)) for field in fields(value) if field.init)
         return {name: plain(each) for name, each in pairs if default is None or each != getattr(default, name)}
     raise RecordingError(f"{value!r:.200} of type {type(value).__name__} cannot be recorded: use plain values")
 
@@ -144,6 +145,59 @@ def _default(kind: type[Any]) -> Any:
         return kind()
     except TypeError:  # some fields have no default
         return None
+
+
+def built(kind: Any, value: Any) -> Any:
+    """Return a value of a type from what `plain` returns of it; lists become tuples.
+
+    Args:
+        kind: Type, as an annotation states it. Nothing but the dataclasses in it is made.
+        value: What JSON holds.
+
+    Raises:
+        UnknownNameError: No dataclass of the type has fields of these names.
+        TypeError: A field without default is missing.
+    """
+    if get_origin(kind) in (Union, UnionType):
+        return built(_member(get_args(kind), value), value)
+    inner = get_args(kind)
+    if isinstance(value, list):
+        each = inner if inner and len(inner) == len(value) and ... not in inner else inner[:1] * len(value)
+        return tuple(built(one, item) for one, item in zip(each or [None] * len(value), value, strict=True))
+    if not isinstance(value, Mapping):
+        return value
+    if not (isinstance(kind, type) and is_dataclass(kind)):
+        return {name: built(inner[-1] if inner else None, each) for name, each in value.items()}
+    known, types = _arguments(kind), field_types(kind)
+    unknown = next((name for name in value if name not in known), None)
+    if unknown is not None:
+        raise UnknownNameError(kind.__name__, str(unknown), known)
+    return kind(**{name: built(types.get(name), each) for name, each in value.items()})
+
+
+def field_types(kind: type[Any]) -> dict[str, Any]:
+    """Return the types of a dataclass's fields; none if an annotation names what its module does not have."""
+    try:
+        return get_type_hints(kind)
+    except NameError:
+        return {}
+
+
+def _arguments(kind: Any) -> list[str]:
+    return [each.name for each in fields(kind) if each.init]
+
+
+def _member(kinds: tuple[Any, ...], value: Any) -> Any:
+    """Return the member of a union that a value of JSON is of; None: the value stays as it is."""
+    if not isinstance(value, Mapping):
+        return next((each for each in kinds if isinstance(value, list) and get_args(each)), None)
+    classes: list[Any] = [each for each in kinds if is_dataclass(each)]
+    fitting = [each for each in classes if {*value} <= {*_arguments(each)}]
+    other = [each for each in kinds if get_origin(each) is not None]
+    if classes and not fitting + other:
+        allowed = f"those of {' or '.join(each.__name__ for each in classes)}"
+        raise UnknownNameError("value with the fields", ", ".join(map(str, value)), [], allowed)
+    return next(iter(fitting + other), None)
 
 
 def versions(*packages: str) -> dict[str, str]:

@@ -3,23 +3,35 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
 from dual_ur10 import ENV_IDS, TYPICAL_PERTURBATION, ArmMount, CellConfig, ServojProfile
 from dual_ur10.assets.obstacles import Box
-from dual_ur10.errors import RecordingError
+from dual_ur10.assets.prop import Capsule, Prop
+from dual_ur10.assets.settings import Equipment
+from dual_ur10.envs.sim.mujoco_cell import make_mujoco_cell
+from dual_ur10.envs.tasks.sine_tracking.settings import SineSettings
+from dual_ur10.envs.tasks.sine_tracking.task import SineTracking
+from dual_ur10.envs.tasks.task import SceneRequirements
+from dual_ur10.errors import CheckpointError, RecordingError
+from dual_ur10.policies.learned.signature import view_of_env, view_of_signature
 from dual_ur10.policies.policy import Policy
+from dual_ur10.registration import register
 from dual_ur10.sim2real.analysis.compare import compare
 from dual_ur10.sim2real.analysis.fit import fit
 from dual_ur10.sim2real.analysis.reconstruction import check_replayable, generator_of, keywords_of, resets_of
 from dual_ur10.sim2real.analysis.replay import RecordedPolicy, replay
 from dual_ur10.sim2real.analysis.tracks import flange_of
+from dual_ur10.sim2real.config.cell_kinds import CELL_KINDS, CellKind
 from dual_ur10.sim2real.recording.header import mounts_of
+from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.recording.run import Run
 from tests.sim2real.analysis.made import DH, header
 from tests.sim2real.analysis.recorded import record
@@ -133,6 +145,73 @@ def test_a_run_of_controllers_is_replayed_in_simulation(sine: Run) -> None:
     assert found.steps == STEPS
 
 
+def played(folder: Path, env_id: str, **keywords: Any) -> Run:
+    """Record five steps that hardly move."""
+    with gym.make(env_id, record=folder, disable_env_checker=True, **keywords) as env:
+        env.reset(seed=3)
+        for _ in range(5):
+            env.step(np.full(env.action_space.shape, 0.1, dtype=np.float32))
+    return read_run(next(folder.iterdir()))
+
+
+@pytest.mark.parametrize("kind", ["echo", "lab"])
+def test_the_recorded_cell_of_another_kind_is_simulated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    lab = CellKind(factory=f"{make_mujoco_cell.__module__}:{make_mujoco_cell.__name__}", controllers=True)
+    monkeypatch.setitem(CELL_KINDS, "lab", lab)
+    cell = replace(CELL, kind=kind, perturbation=CellConfig().perturbation, speed_factor=0.5)
+    run = played(tmp_path, SINE, cell=cell)
+    assert run.header.source == kind
+    monkeypatch.delitem(CELL_KINDS, "lab")  # nothing of the package that brought it is needed
+    assert keywords_of(run.header)["cell"] == replace(cell, kind="mujoco")
+    assert replay(run).equal_targets == 25
+
+
+@dataclass(frozen=True)
+class PropSettings(SineSettings):
+    """Keywords that are dataclasses: one of several, and in tuples and mappings."""
+
+    prop: Box | Prop | None = None
+    pairs: tuple[tuple[Capsule | None, int], ...] = ()
+    named: Mapping[str, Capsule] | None = None
+
+
+class WithProps(SineTracking):
+    """SineTracking beside a prop of its keywords."""
+
+    settings_type: ClassVar[Any] = PropSettings
+
+    @classmethod
+    def requirements(cls, settings: Any) -> SceneRequirements:
+        return SceneRequirements(Equipment(props=() if settings.prop is None else (settings.prop,)))
+
+
+def test_keywords_that_are_dataclasses_are_those_of_the_replay(tmp_path: Path, registries: None) -> None:
+    register("Lab/WithProps-v0")(WithProps)
+    body = "<body pos='0 0 .03'><freejoint/><geom type='box' size='.03 .03 .03' mass='.2'/></body>"
+    capsule = Capsule((0, 0, 0), (0, 0, 0.1), 0.02)
+    prop = Prop(name="box", mjcf=f"<mujoco><worldbody>{body}</worldbody></mujoco>", held=(capsule, None), noise=0.5)
+    keywords = {"prop": prop, "pairs": ((capsule, 1), (None, 2)), "named": {"a": capsule}}
+    run = played(tmp_path, "Lab/WithProps-v0", **keywords)
+    assert keywords_of(run.header) == {**keywords, "action_latency_ticks": 0}
+    found = replay(run)
+    assert found.is_exact, found.difference
+    with gym.make("Lab/WithProps-v0", **keywords) as env:
+        signature = view_of_env(env).signature
+    assert view_of_signature(signature).setup.settings == PropSettings(**keywords)
+    for name, value, words in (
+        ("prop", {"name": "box", "mjcf": "<"}, "keyword prop .*MJCF"),
+        ("prop", {"radius": 1}, "keyword prop .*'radius'"),
+        ("pairs", [[{"radius_m": 1.0}, 1]], "keyword pairs "),
+        ("named", {"a": {"from_m": 3}}, "keyword named "),
+    ):
+        with pytest.raises(RecordingError, match=words):
+            keywords_of(replace(run.header, kwargs={name: value}))
+        with pytest.raises(CheckpointError, match="its kwargs make no environment"):
+            view_of_signature(replace(signature, kwargs={name: value}))
+
+
 @pytest.mark.parametrize("slow", [0.25, 0.5])
 def test_a_run_that_was_slowed_down_is_replayed_without_another_lag(tmp_path: Path, slow: float) -> None:
     full = record(tmp_path / "full", SINE, [5], 100)
@@ -192,7 +271,7 @@ def headed(run: Run, **values: Any) -> Run:
         ({"kwargs": {"policy_rate_hz": 12.5}}, "ticks per action: 5 in the recording, 10 in the environment"),
         ({"kwargs": {"cell": {"family": "cb3"}}}, "the cell of the recording is not legal: .*'family'"),
         ({"kwargs": {"cell": {"servoj": {"gain": 9e9}}}}, "is not legal: servoj gain"),
-        ({"kwargs": {"cell": {"obstacles": [{"radius": 1}]}}}, "is not legal: .*obstacle"),
+        ({"kwargs": {"cell": {"obstacles": [{"radius": 1}]}}}, "is not legal: .*'radius': use those of Box"),
         *(
             ({"kwargs": {"cell": each}}, "a simulated run's is not a file")
             for each in ("lab.toml", "/a/lab.toml", "./x/y")

@@ -1,4 +1,4 @@
-// Inverse kinematics of one arm in closed form; see `dual_ur10.kinematics.closed_form` and `.inverse`.
+// Inverse kinematics of one arm in closed form; see `dual_ur10.kinematics.inverse`.
 #pragma once
 
 #include "fields.hpp"

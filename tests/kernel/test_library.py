@@ -7,6 +7,7 @@ import copy
 import ctypes
 import importlib.util
 import pickle
+import pkgutil
 import re
 import shutil
 import subprocess
@@ -243,3 +244,11 @@ def test_a_link_to_another_structure_is_refused() -> None:
 
 def _gate_fields() -> dict[str, object]:
     return dict(SafetyGate(MotionLimits(), 0.008, 5, AlwaysClear())._step._made_of[1].values)
+
+
+def test_comments_of_the_sources_name_what_exists() -> None:
+    texts = [path.read_text() for path in kernel.FOLDER.glob("*.?pp")]
+    names = {name for text in texts for name in re.findall(r"`(dual_ur10(?:\.\w+)+)", text)}
+    assert len(names) > 8
+    for name in names:
+        pkgutil.resolve_name(name)

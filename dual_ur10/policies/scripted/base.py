@@ -150,12 +150,19 @@ class Script(ScriptedPolicy):
 
         Raises:
             ActionError: Not an observation of the task.
-            SettingsError: A script ended before its first wish.
+            SettingsError: A script ended before its first wish, or only some rows state openings.
         """
         batch = self.batch(observation, None if self._scripts is None else len(self._scripts))
         if self._scripts is None:
             self._scripts, self._wishes = [None] * len(batch), [None] * len(batch)
         actions = [self._act(row, self.layout.split(numbers.copy())) for row, numbers in enumerate(batch)]
+        opened = [wish is not None and wish.opening is not None for wish in self._wishes]
+        if any(opened) and not all(opened):
+            self.reset()
+            raise SettingsError(
+                f"the script of {type(self).__name__} states openings in row {opened.index(True)} and none in row "
+                f"{opened.index(False)}: state them in every Wish, or in none"
+            )
         return np.array(actions).reshape(*np.shape(observation)[:-1], -1).astype(np.float32)
 
     def _act(self, row: int, fields: Fields) -> Array:

@@ -125,6 +125,20 @@ def test_a_script_without_a_wish_and_another_number_of_rows_are_refused():
         policy(SEEN[0, :2])
 
 
+def test_openings_in_some_rows_only_are_refused():
+    class Some(Script):
+        task = Handover
+
+        def script(self, fields):
+            opened = self.opened = not getattr(self, "opened", False)
+            yield Wish(fields["commanded_q_rad"], np.ones(2) if opened else None)
+
+    policy, seen = Some(TIMING), RNG.uniform(-1.0, 1.0, (N, 112))
+    with pytest.raises(SettingsError, match=r"Some states openings in row 0 and none in row 1: state them in every"):
+        policy(seen)
+    assert policy(seen[:1]).shape == (1, 12)  # all begin anew
+
+
 def test_a_script_that_failed_begins_anew():
     policy = Stumble(TIMING, "joint_position")
     policy(SEEN[0][0])

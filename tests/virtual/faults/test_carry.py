@@ -42,14 +42,26 @@ def test_52_coupled_arms_stop_on_an_error_of_their_relative_pose(lab, joint, awa
     lab.assert_stopped(error, "the arms, which hold one object, are ", "allowed are 10 mm and 3°", seen_ticks=7)
 
 
-def test_arms_are_coupled_from_the_first_action_of_an_episode(lab):
-    """Not on the way to its start, on which they hold nothing."""
-    observation, memory = lab.begin(steps=0), lab.env.unwrapped.core.cell._runner.cell
+def test_arms_are_coupled_from_the_first_action_until_they_rest(lab, monkeypatch):
+    """Not on the way to a start, on which they hold nothing, nor when a person is asked."""
+    asked = []
+    observation = lab.begin(steps=0, confirm=lambda text: asked.append(memory.coupled if asked else None) or True)
+    memory, runner = lab.runner.cell, lab.runner
     assert not memory.coupled
-    lab.env.step(lab.policy(observation))
-    assert memory.coupled
-    lab.env.reset(options={"move_to_start": True})
-    assert not memory.coupled
+    for _ in range(10):
+        observation = lab.env.step(lab.policy(observation))[0]
+        assert memory.coupled
+    end, wait, waited = runner.end, runner.wait_for, []
+
+    def wait_for(period):
+        wait(period)
+        waited.append((period, memory.coupled))
+
+    monkeypatch.setattr(runner, "wait_for", wait_for)
+    lab.env.reset()
+    assert waited[0] == (end, True)  # what they hold is guarded until the brake ends
+    assert asked == [None, False]
+    assert not any(coupled for _, coupled in waited[1:])
 
 
 def test_50_what_is_carried_meets_nothing(lab):

@@ -9,6 +9,7 @@ It holds names only; each is documented where it is defined. It imports `envs` a
 imports it.
 """
 
+from dual_ur10.assets.gains import COMPLIANT, STIFF, Gains
 from dual_ur10.assets.prop import Camera, Capsule, Prop
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, home_q_rad
 from dual_ur10.assets.tool import Tool
@@ -36,7 +37,9 @@ from dual_ur10.types import Array, Mask, Rows
 
 __all__ = [
     "ARM_FIELDS",
+    "COMPLIANT",
     "HOME_Q_RAD",
+    "STIFF",
     "Array",
     "Camera",
     "Capsule",
@@ -47,6 +50,7 @@ __all__ = [
     "Fields",
     "FrameDistances",
     "Frames",
+    "Gains",
     "Goal",
     "GoalSteps",
     "Grasps",

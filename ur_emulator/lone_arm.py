@@ -9,8 +9,9 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 
+from dual_ur10.assets.gains import STIFF, gains_of
 from dual_ur10.assets.scene import compose
-from dual_ur10.assets.settings import SceneSettings, default_mount, gains_of, home_q_rad
+from dual_ur10.assets.settings import SceneSettings, default_mount, home_q_rad
 from dual_ur10.assets.tool import Tool
 from dual_ur10.assets.torque_control import TorqueControl, Torques
 from dual_ur10.errors import SettingsError, UnknownNameError
@@ -98,7 +99,7 @@ class LoneArm:
         self._inverse = _model_of(nominal)
         self._inverse.opt.disableflags |= _IDEAL
         self._wanted = mujoco.MjData(self._inverse)
-        self._kp, self._kv = np.array(gains_of(robot, "stiff"))
+        self._kp, self._kv = np.array(gains_of(robot, STIFF))
         self._model = _model_of(self._true)
         links = [self._model.body(f"{ARMS[0]}/{link}").id for link in LINKS]
         self._model.body_mass[links] *= sampled["mass_scale"]

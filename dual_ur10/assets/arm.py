@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from dual_ur10.assets.arm_shape import fit_bodies, fit_shape
-from dual_ur10.assets.settings import gains_of
+from dual_ur10.assets.gains import Gains, gains_of
 from dual_ur10.kinematics.robots import robot_model
 from dual_ur10.kinematics.rotations import quat_multiply
 from dual_ur10.kinematics.ur10 import JOINTS, LINKS, DHParameters, nominal_dh
@@ -21,12 +21,12 @@ _Quat = tuple[float, float, float, float]
 _Pose = tuple[Array, _Quat]
 
 
-def arm_spec(dh: DHParameters, gains: str) -> Any:
+def arm_spec(dh: DHParameters, gains: Gains) -> Any:
     """Return the `MjSpec` of one arm.
 
     Args:
         dh: Kinematics of the arm, which name its model.
-        gains: Gains of the joint servos, a key of `GAINS`.
+        gains: Gains of the joint servos.
     """
     import mujoco  # type: ignore[import-untyped, unused-ignore]  # has no types of its own
 

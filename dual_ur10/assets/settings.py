@@ -3,61 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Final
 
 import numpy as np
 
+from dual_ur10.assets.gains import STIFF, Gains, check_gains, check_integrator
 from dual_ur10.assets.obstacles import Obstacle, checked
 from dual_ur10.assets.prop import Camera, Prop, check_props
 from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85
 from dual_ur10.assets.tool import Tool, tools_of
-from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.kinematics.dynamics import stretched_inertia_kg_m2
+from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics.frames import MAX_MOUNT_M, ArmMount, finite_floats
 from dual_ur10.kinematics.inverse import try_nearest
 from dual_ur10.kinematics.robots import ROBOTS, robot_model
 from dual_ur10.kinematics.ur10 import ARMS, nominal_dh
 from dual_ur10.types import Array, constant
-
-GAINS: Final[dict[str, tuple[tuple[float, ...], tuple[float, ...]]]] = {
-    "stiff": ((20000.0, 20000.0, 10000.0, 3000.0, 3000.0, 3000.0), (1000.0, 1000.0, 500.0, 60.0, 60.0, 60.0)),
-    "compliant": ((4000.0, 4000.0, 3500.0, 3200.0, 3200.0, 3200.0), (350.0, 350.0, 200.0, 30.0, 30.0, 30.0)),
-}
-"""kp in N·m/rad and kv in N·m·s/rad per joint of a UR10: "stiff" for free motion, "compliant" where both arms hold one
-object."""
-
-INTEGRATORS: Final = ("implicitfast", "Euler")
-"""MuJoCo's integrators for the physics: "Euler" treats the damping of the servos explicitly."""
-
-MOST_UNSTABLE: Final = 2.2
-"""Largest stability number with which "Euler" is used. It diverges from 4 on. The rest is for lighter arms: an episode
-may sample half of the links' masses, while the armature of the joints stays."""
-
-# Largest eigenvalues of M^-1 kv (1/s) and M^-1 kp (1/s²) of a UR10 without gripper, over all configurations; and of
-# those models whose eigenvalues are larger, a bound of their ratio.
-_RATES: Final = {"stiff": (2735.0, 54800.0), "compliant": (973.0, 32000.0)}
-_RATE_RATIO: Final = {"ur8long": 1.28, "ur20": 1.06, "ur30": 1.06}
-
-
-@lru_cache(maxsize=64)
-def gains_of(robot: str, gains: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return kp and kv of a model's joints: those of `GAINS`, as many times as large as its stretched arm's inertia.
-
-    So every joint of every model answers at about the same rate and with the same damping.
-
-    Args:
-        robot: Name of the model.
-        gains: A key of `GAINS`.
-    """
-    if robot == "ur10":
-        return GAINS[gains]
-    ratio = stretched_inertia_kg_m2(robot) / stretched_inertia_kg_m2("ur10")
-    kp, kv = (tuple((ratio * each).tolist()) for each in GAINS[gains])
-    return kp, kv
-
 
 TABLE_THICKNESS_M: Final = 0.06
 BASE_RADIUS_M: Final = 0.15
@@ -178,42 +141,6 @@ class Equipment:
         return bool(self.welds)
 
 
-def stability_number(gains: str, timestep_s: float, mass_scale: float = 1.0, *, robots: Collection[str]) -> float:
-    """Return an upper bound, over all configurations, of the largest eigenvalue of M^-1 (2 h kv + h² kp).
-
-    Explicit integration of the servos diverges if it reaches 4.
-
-    Args:
-        gains: A key of `GAINS`.
-        timestep_s: Physics timestep h.
-        mass_scale: Factor on the links' masses.
-        robots: Models of the arms.
-    """
-    damping, stiffness = _RATES[gains]
-    ratio = max(_RATE_RATIO.get(robot, 1.0) for robot in robots)
-    return ratio * (2 * timestep_s * damping + timestep_s**2 * stiffness) / min(mass_scale, 1.0)
-
-
-def check_integrator(
-    integrator: str, gains: str, timestep_s: float, mass_scale: float = 1.0, *, robots: Collection[str]
-) -> None:
-    """Refuse "Euler" where it is unstable or close to it.
-
-    Raises:
-        UnknownNameError: There is no such integrator.
-        SettingsError: It is "Euler", and its stability number is too large.
-    """
-    if integrator not in INTEGRATORS:
-        raise UnknownNameError("integrator", str(integrator), INTEGRATORS)
-    number = stability_number(gains, timestep_s, mass_scale, robots=robots)
-    if integrator == "Euler" and number > MOST_UNSTABLE:
-        raise SettingsError(
-            f'integrator="Euler" with gains={gains!r}, timestep_s={timestep_s:g} and masses times {mass_scale:g}: its '
-            f"stability number is up to {number:.2f}, allowed are {MOST_UNSTABLE}, and it diverges from 4 on. Use "
-            'integrator="implicitfast", gains="compliant" or a shorter timestep_s'
-        )
-
-
 @dataclass(frozen=True)
 class SceneSettings:
     """Content of the cell and settings of its simulation.
@@ -222,8 +149,8 @@ class SceneSettings:
         left: Mount of the left arm.
         right: Mount of the right arm.
         timestep_s: Physics timestep.
-        integrator: One of [INTEGRATORS][dual_ur10.assets.settings.INTEGRATORS].
-        gains: One of [GAINS][dual_ur10.assets.settings.GAINS].
+        integrator: One of [INTEGRATORS][dual_ur10.assets.gains.INTEGRATORS].
+        gains: Gains of the joint servos.
         meshes: Render the meshes of the optional package `example-robot-data` in place of primitives. Visual only.
         table_center_m: (2,) x, y of the table's centre; its top is at z = 0.
         table_size_m: (2,) length along x and width along y.
@@ -232,15 +159,15 @@ class SceneSettings:
 
     Raises:
         SettingsError: A number is not finite or out of range, obstacles have the same name, the bases stand closer than
-            0.3 m to each other, a base stands inside the table, or the integrator is unstable.
-        UnknownNameError: `gains` is no name of a gain set, or `integrator` no integrator.
+            0.3 m to each other, a base stands inside the table, `gains` is none, or the integrator is unstable.
+        UnknownNameError: `integrator` is no integrator.
     """
 
     left: ArmMount = field(default_factory=lambda: default_mount(0))
     right: ArmMount = field(default_factory=lambda: default_mount(1))
     timestep_s: float = 0.002
     integrator: str = "implicitfast"
-    gains: str = "stiff"
+    gains: Gains = STIFF
     meshes: bool = False
     table_center_m: tuple[float, float] = (0.0, 0.0)
     table_size_m: tuple[float, float] = (1.0, 1.8)
@@ -251,8 +178,7 @@ class SceneSettings:
         (timestep,) = finite_floats("timestep_s", (self.timestep_s,), 1)
         if not 0.0 < timestep <= 0.02:
             raise SettingsError(f"timestep_s is {timestep:.6g}: must be above 0 and at most 0.02 s")
-        if self.gains not in tuple(GAINS):
-            raise UnknownNameError("gains", str(self.gains), tuple(GAINS))
+        check_gains(self.gains)
         self._check_mounts()
         check_integrator(self.integrator, self.gains, timestep, robots=self.robots)
         center = finite_floats("table_center_m", self.table_center_m, 2)

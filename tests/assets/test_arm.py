@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from dual_ur10.assets import cell_spec
+from dual_ur10.assets.gains import COMPLIANT, MOST_UNSTABLE, STIFF, stability_number
 from dual_ur10.assets.scene import build_model, sensor_slices
-from dual_ur10.assets.settings import GAINS, HOME_Q_RAD, MOST_UNSTABLE, SceneSettings, stability_number
+from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
 from dual_ur10.assets.visuals import CAMERAS
 from dual_ur10.errors import DualUR10Error
 from dual_ur10.kinematics.frames import ArmMount
@@ -26,6 +27,7 @@ from dual_ur10.kinematics.ur10 import (
     LINKS,
     NOMINAL_DH,
 )
+from tests.assets.test_arm_shape import OWN
 from tests.sim2real.control.reference_cell import (
     CALIBRATED,
     SHIFTED,
@@ -127,19 +129,19 @@ def test_torque_saturates_at_the_limit(model):
     assert data.qfrc_actuator.tolist() == [*JOINT_TORQUE_NM, *JOINT_TORQUE_NM]
 
 
-@pytest.mark.parametrize("name", list(GAINS))
-def test_gains(name):
-    model = build_model(SceneSettings(gains=name))
-    kp, kv = GAINS[name]
+@pytest.mark.parametrize("gains", [STIFF, COMPLIANT, OWN])
+def test_gains(gains):
+    model = build_model(SceneSettings(gains=gains))
+    kp, kv = gains.kp_nm_rad, gains.kv_nms_rad
     assert model.actuator_gainprm[:, 0].tolist() == [*kp, *kp]
     assert model.actuator_biasprm[:, 1].tolist() == [-k for k in (*kp, *kp)]
     assert model.actuator_biasprm[:, 2].tolist() == [-k for k in (*kv, *kv)]
 
 
-def eigenvalues(model, name, timestep_s, configurations):
+def eigenvalues(model, gains, timestep_s, configurations):
     """Return the largest eigenvalue of M^-1 (2 h kv + h² kp) of the left arm in each configuration."""
     data, found = mujoco.MjData(model), []
-    kp, kv = map(np.array, GAINS[name])
+    kp, kv = np.array(gains.kp_nm_rad), np.array(gains.kv_nms_rad)
     weight = 1 / np.sqrt(2 * timestep_s * kv + timestep_s**2 * kp)
     for q_rad in configurations:
         data.qpos[:6] = q_rad
@@ -153,22 +155,22 @@ def eigenvalues(model, name, timestep_s, configurations):
 def test_stability_numbers_bound_sampled_configurations(model):
     configurations = np.random.default_rng(0).uniform(-np.pi, np.pi, (3000, 6))
     numbers = {}
-    for name in GAINS:
+    for gains, tight in ((STIFF, 0.9), (COMPLIANT, 0.9), (OWN, 0.6)):
         for timestep_s in (0.001, 0.002):
-            sampled = eigenvalues(model, name, timestep_s, configurations)
-            numbers[name, timestep_s] = stability_number(name, timestep_s, robots=("ur10",))
-            assert 0.9 * numbers[name, timestep_s] < sampled.max() <= numbers[name, timestep_s]
-    assert numbers["compliant", 0.001] < MOST_UNSTABLE < min(numbers["compliant", 0.002], numbers["stiff", 0.001])
+            sampled = eigenvalues(model, gains, timestep_s, configurations)
+            numbers[gains, timestep_s] = stability_number(gains, timestep_s, robots=("ur10",))
+            assert tight * numbers[gains, timestep_s] < sampled.max() <= numbers[gains, timestep_s]
+    assert numbers[COMPLIANT, 0.001] < MOST_UNSTABLE < min(numbers[COMPLIANT, 0.002], numbers[STIFF, 0.001])
 
 
 def test_euler_keeps_stable_with_the_lightest_sampled_masses():
     """An episode may sample half of the masses, of a plant that is as light as Euler allows."""
     model = build_model(SceneSettings())
-    light = stability_number("compliant", 0.001, robots=("ur10",)) / MOST_UNSTABLE / 2
+    light = stability_number(COMPLIANT, 0.001, robots=("ur10",)) / MOST_UNSTABLE / 2
     model.body_mass[:] *= light
     model.body_inertia[:] *= light
     configurations = np.random.default_rng(1).uniform(-np.pi, np.pi, (3000, 6))
-    assert eigenvalues(model, "compliant", 0.001, configurations).max() < 3.3
+    assert eigenvalues(model, COMPLIANT, 0.001, configurations).max() < 3.3
 
 
 def test_gravity_compensation_holds_the_arms(model):

@@ -17,6 +17,7 @@ from dual_ur10.assets.collision_model import (
     clearance_pairs,
     compose_collision_model,
 )
+from dual_ur10.assets.gains import COMPLIANT
 from dual_ur10.assets.obstacles import Box, Capsule, Obstacle, Plane, geom_name
 from dual_ur10.assets.props import BLOCK, BLOCK_SIZE_M
 from dual_ur10.assets.scene import build_model, compose
@@ -195,7 +196,7 @@ def test_an_arm_is_stopped_by_a_wall() -> None:
     forward[:, 1] += 0.3
     found = []
     for obstacles in ((), (wall,)):
-        model = build_model(SceneSettings(gains="compliant", obstacles=obstacles), visuals=False)
+        model = build_model(SceneSettings(gains=COMPLIANT, obstacles=obstacles), visuals=False)
         data = mujoco.MjData(model)
         data.qpos[:] = HOME_Q_RAD.ravel()
         for step in range(750):

@@ -10,6 +10,7 @@ import pytest
 
 from dual_ur10 import CellConfig
 from dual_ur10.assets.collision_model import build_collision_model, clearance_pairs
+from dual_ur10.assets.gains import STIFF
 from dual_ur10.assets.prop import Camera, Capsule, Prop
 from dual_ur10.assets.scene import build_model
 from dual_ur10.assets.settings import Equipment, SceneSettings, home_q_rad
@@ -51,7 +52,7 @@ def xml(body="<freejoint/><geom size='.01' mass='.1'/>", rest="", attributes="")
 
 @pytest.fixture(scope="module")
 def config():
-    return CellConfig(equipment=SCENE, timestep_s=0.002, gains="stiff")
+    return CellConfig(equipment=SCENE, timestep_s=0.002, gains=STIFF)
 
 
 def scene_of(equipment):

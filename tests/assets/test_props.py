@@ -8,6 +8,7 @@ import pytest
 
 from dual_ur10 import kinematics
 from dual_ur10.assets import props
+from dual_ur10.assets.gains import COMPLIANT
 from dual_ur10.assets.props import (
     BAR,
     BAR_LENGTH_M,
@@ -130,7 +131,7 @@ def test_two_grippers_lift_the_bar_and_hold_it():
 
 @pytest.fixture(params=[0.001, 0.002])
 def welded(request):
-    settings = SceneSettings(timestep_s=request.param, gains="compliant", equipment=Equipment(True, (BAR,), BAR_WELDS))
+    settings = SceneSettings(timestep_s=request.param, gains=COMPLIANT, equipment=Equipment(True, (BAR,), BAR_WELDS))
     rig = Rig(settings)
     rig.data.qpos[16:19] = 0.0, 0.0, 0.12
     paths = [

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from dual_ur10.assets.collision_model import build_collision_model, compose_collision_model
+from dual_ur10.assets.gains import Gains
 from dual_ur10.assets.obstacles import Box, Capsule, Plane
 from dual_ur10.assets.prop import Camera
 from dual_ur10.assets.props import BAR, BAR_WELDS, BLOCK, TARGET
@@ -17,6 +18,7 @@ from dual_ur10.assets.scene import build_model, compose, sensor_slices
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings, default_mount
 from dual_ur10.errors import MissingExtraError, SettingsError, UnknownNameError
 from dual_ur10.kinematics.frames import ArmMount
+from dual_ur10.sim2real.config.cell import CellConfig
 from tests.model_hashes import HASHES, hash_of
 from tests.sim2real.control.reference_cell import UNEQUAL, contacts, random_q
 
@@ -70,8 +72,15 @@ def test_import_is_light_and_quiet():
         (lambda: SceneSettings(timestep_s=np.nan), SettingsError, "timestep_s"),
         (lambda: SceneSettings(integrator="RK4"), UnknownNameError, "'implicitfast', 'Euler'"),
         (lambda: SceneSettings(integrator="Euler"), SettingsError, "up to 11.16, allowed are 2.2"),
-        (lambda: SceneSettings(gains="soft"), UnknownNameError, "stiff"),
-        (lambda: SceneSettings(gains=[20000.0]), UnknownNameError, "stiff"),
+        (lambda: SceneSettings(gains="stiff"), SettingsError, "'stiff': they must be Gains, such as STIFF"),
+        (lambda: CellConfig(gains=[20000.0]), SettingsError, "must be Gains, such as STIFF and COMPLIANT"),
+        (lambda: Gains((1.0,) * 5, (1.0,) * 6), SettingsError, "kp_nm_rad of gains must be 6 finite numbers"),
+        (
+            lambda: Gains((1.0,) * 6, (1.0,) * 5 + (0.0,)),
+            SettingsError,
+            "kv_nms_rad of gains .* must be 0.01 to 100000",
+        ),
+        (lambda: Gains((1e7,) * 6, (1.0,) * 6), SettingsError, "must be 0.01 to 1e\\+06"),
         (lambda: SceneSettings(table_size_m=(0.0, 1.0)), SettingsError, "table"),
         (lambda: SceneSettings(equipment=None), SettingsError, "Equipment"),
         (lambda: Equipment(props="ball"), SettingsError, "must be a tuple of Prop"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from dual_ur10.assets.gains import STIFF
 from dual_ur10.assets.settings import Equipment, home_q_rad
 from dual_ur10.envs.core.cells import record_arms
 from dual_ur10.errors import UnknownNameError
@@ -67,7 +68,7 @@ def make_follower(
     """
     if arm is not None and arm not in ARMS:
         raise UnknownNameError("arm", str(arm), [*ARMS, "None"])
-    config = resolve_cell(cell).equipped(Equipment(), 0.002, "stiff")
+    config = resolve_cell(cell).equipped(Equipment(), 0.002, STIFF)
     limits = config.capped(MotionLimits() if limits is None else limits)
     clearance = Clearance(config.measured_scene, minimum_m=config.minimum_clearance_m, uncertainty=config.uncertainty)
     law = TargetLaw.of(config.servoj, ticks, config.speed_factor, config.measured_lookahead_s)

@@ -8,7 +8,8 @@ from typing import Any, Final
 import numpy as np
 
 from dual_ur10.assets.collision_model import build_collision_model
-from dual_ur10.assets.settings import SceneSettings, gains_of
+from dual_ur10.assets.gains import gains_of
+from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.envs.sim.servo_reference import Motion
 from dual_ur10.kernel import RowLoop, Struct
 from dual_ur10.kinematics.rotations import quat_to_matrix

@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar, cast
 
 import numpy as np
 
+from dual_ur10.assets.gains import STIFF, Gains
 from dual_ur10.assets.settings import Equipment
 from dual_ur10.assets.tool import strokes_m
 from dual_ur10.envs.tasks.observation_layout import ObservationLayout
@@ -59,14 +60,14 @@ class SceneRequirements:
     Attributes:
         equipment: Grippers and what they handle.
         timestep_s: Physics step, unless the cell specifies another.
-        gains: Joint servos, unless the cell specifies others.
+        gains: Gains of the joint servos, unless the cell specifies others.
         closer: Smallest legal distance in m of pairs of bodies that may come closer than the cell's own smallest
             distance, by their names in `dual_ur10.assets.collision_model.clearance_pairs`.
     """
 
     equipment: Equipment = dataclasses.field(default_factory=Equipment)
     timestep_s: float = 0.002
-    gains: str = "stiff"
+    gains: Gains = STIFF
     closer: Mapping[tuple[str, str], float] = dataclasses.field(default_factory=dict)
 
 

@@ -16,17 +16,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.assets.collision_model import CLEARANCE_CUTOFF_M
+from dual_ur10.assets.gains import (
+    INTEGRATORS,
+    MOST_UNSTABLE,
+    Gains,
+    check_gains,
+    check_integrator,
+    stability_number,
+)
 from dual_ur10.assets.obstacles import Obstacle
 from dual_ur10.assets.prop import Prop
 from dual_ur10.assets.settings import (
     DEFAULT_TOOLS,
-    INTEGRATORS,
-    MOST_UNSTABLE,
     Equipment,
     SceneSettings,
-    check_integrator,
     default_mount,
-    stability_number,
 )
 from dual_ur10.assets.tool import Tool, tools_of
 from dual_ur10.errors import RateError, SettingsError, UnknownNameError
@@ -253,9 +257,9 @@ class CellConfig:
             workspace.
         servoj: Controller family and servoj settings of both arms. Left out: those of the arms' family.
         timestep_s: Physics step; it must divide the controller's tick. None: the task's own.
-        integrator: Integrator of the physics, a name of `dual_ur10.assets.settings.INTEGRATORS`. None: "Euler" where
+        integrator: Integrator of the physics, a name of `dual_ur10.assets.gains.INTEGRATORS`. None: "Euler" where
             `stability_number` is small, as with the friction grasp of SyncCarry; otherwise "implicitfast".
-        gains: Joint servos, a name of `dual_ur10.assets.settings.GAINS`. None: the task's own.
+        gains: Gains of the joint servos in simulation. None: the task's own.
         minimum_clearance_m: Smallest distance between two bodies that the safety gate allows.
         perturbation: Deviation of the simulated plant from the nominal model.
         meshes: Draw real meshes, if the package example-robot-data is installed.
@@ -291,7 +295,7 @@ class CellConfig:
     servoj: ServojProfile = field(default_factory=lambda: DEFAULT_SERVOJ)
     timestep_s: float | None = None
     integrator: str | None = None
-    gains: str | None = None
+    gains: Gains | None = None
     minimum_clearance_m: float = MINIMUM_M
     perturbation: Perturbation = field(default_factory=Perturbation)
     meshes: bool = False
@@ -357,6 +361,8 @@ class CellConfig:
         _ = self.substeps
         if self.integrator not in (None, *INTEGRATORS):
             raise UnknownNameError("integrator", str(self.integrator), INTEGRATORS)
+        if self.gains is not None:
+            check_gains(self.gains)
         if None not in (self.gains, self.timestep_s):
             _ = self.scene  # otherwise the task's own decide whether the integrator is stable
 
@@ -443,7 +449,7 @@ class CellConfig:
         scene = self.scene
         return replace(scene, equipment=replace(scene.equipment, grippers=True)) if self.grippers_mounted else scene
 
-    def equipped(self, equipment: Equipment, timestep_s: float, gains: str) -> CellConfig:
+    def equipped(self, equipment: Equipment, timestep_s: float, gains: Gains) -> CellConfig:
         """Return this cell with a task's equipment, and its physics step and servo gains unless the cell sets them."""
         return replace(
             self,

@@ -17,6 +17,7 @@ from typing import Any, Final, NamedTuple, Self, cast
 
 from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
+from dual_ur10.assets.gains import Gains
 from dual_ur10.assets.obstacles import Obstacle
 from dual_ur10.assets.settings import default_mount
 from dual_ur10.assets.tool import Tool, tool_named
@@ -35,6 +36,7 @@ from dual_ur10.sim2real.config.cell_file_tables import (
     ArmLimits,
     BaseToBase,
     EmulatorEntry,
+    GainsEntry,
     Kind,
     Measured,
     Name,
@@ -91,6 +93,7 @@ class CellFile(Table):
     left: ArmEntry
     right: ArmEntry
     base_to_base: BaseToBase | None = None
+    gains: GainsEntry | None = None
     emulator: EmulatorEntry | None = None
     tracker: tuple[Tracker, ...] = Field((), max_length=MAX_TRACKERS, description="source of an object's pose")
     obstacle: tuple[ObstacleEntry, ...] = Field((), max_length=MAX_OBSTACLES, description="shape of the obstacle")
@@ -225,6 +228,7 @@ class CellFile(Table):
                 file=self,
                 measured_lookahead_s=self._lookahead_s(),
                 tools=self._tools(),
+                gains=None if self.gains is None else Gains(self.gains.kp_nm_rad, self.gains.kv_nms_rad),
                 tcp_m=(self.left.tcp_position_m or ZERO, self.right.tcp_position_m or ZERO),
                 **{name: self._tighter(name) for name in ArmLimits.model_fields},  # type: ignore[arg-type]  # floats
             )

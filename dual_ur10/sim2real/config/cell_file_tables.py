@@ -19,7 +19,7 @@ from typing import Annotated, Any, Final, Literal, Self, TypeVar
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
-from dual_ur10.assets import obstacles
+from dual_ur10.assets import gains, obstacles
 from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85
 from dual_ur10.ids import ENV_IDS, is_registered
 from dual_ur10.kinematics import ur10
@@ -367,6 +367,17 @@ class BaseToBase(Table):
     uncertainty_rad: float = key("uncertainty of that rotation, about any axis", low=0, high=0.2, example=0.0003)
     date: Day = key("day of the calibration", example="2026-01-31")
     data: FileName = key("its data file", example="touches.json")
+
+
+class GainsEntry(Table):
+    """Gains of the joint servos where these arms are emulated or simulated, as of a UR10; a task's own if missing."""
+
+    kp_nm_rad: Joints[Annotated[float, Field(ge=gains.LEAST_GAIN, le=gains.MOST_KP_NM_RAD)]] = key(
+        "stiffness of each joint, N·m/rad", example=gains.STIFF.kp_nm_rad
+    )
+    kv_nms_rad: Joints[Annotated[float, Field(ge=gains.LEAST_GAIN, le=gains.MOST_KV_NMS_RAD)]] = key(
+        "damping of each joint, N·m·s/rad", example=gains.STIFF.kv_nms_rad
+    )
 
 
 class EmulatorEntry(Table):

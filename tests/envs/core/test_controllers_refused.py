@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from dual_ur10 import Perturbation
+from dual_ur10.assets.gains import COMPLIANT
 from dual_ur10.envs import dm_env
 from dual_ur10.envs.api.dual_arm_env import DualArmEnv
 from dual_ur10.envs.api.parallel_env import parallel_env
@@ -252,7 +253,7 @@ def test_two_agents_are_not_refused(path):
 def test_nothing_is_added_to_what_controllers_measure(path):
     config = load_cell_file(path).config()
     core = DualArmEnv("Handover").core
-    config = config.equipped(core.config.equipment, 0.001, "compliant")
+    config = config.equipped(core.config.equipment, 0.001, COMPLIANT)
     assert config.equipment.grippers
     assert Sensing(config, Randomization(), 0.04, 1).is_exact
     assert not Sensing(core.config, Randomization(), 0.04, 1).is_exact

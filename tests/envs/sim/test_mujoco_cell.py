@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from dual_ur10.assets.collision_model import build_collision_model
-from dual_ur10.assets.settings import GAINS, HOME_Q_RAD, INTEGRATORS, Equipment, SceneSettings
+from dual_ur10.assets.gains import COMPLIANT, INTEGRATORS
+from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.sim.feedforward import FeedForward
 from dual_ur10.envs.sim.mujoco_cell import MujocoCell
@@ -67,13 +68,13 @@ def test_the_arms_follow_the_law():
             assert np.abs(trace[:, 0, arm, joint] - expected[TICKS * 4 - 1 :: TICKS * 4]).max() < 5e-6
 
 
-COMPLIANT = {"gains": "compliant", "timestep_s": 0.001}
+SOFT = {"gains": COMPLIANT, "timestep_s": 0.001}
 
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 def test_feed_forward_fits_the_integrator(integrator):
     """Compliant servos follow an exact model; with the other integrator's feed-forward they are 5 µrad off."""
-    cell = MujocoCell(CellConfig(integrator=integrator, **COMPLIANT), TICKS)
+    cell = MujocoCell(CellConfig(integrator=integrator, **SOFT), TICKS)
     cell.reset(Start(home()))
     reference = ServojReference(cell.config.servoj, 1, cell.config.substeps, TICKS)
     reference.reset(home(), np.arange(1))
@@ -88,13 +89,13 @@ def test_euler_is_the_choice_where_it_is_stable():
     def chosen(**keywords):
         return CellConfig(**keywords).scene.integrator
 
-    assert chosen() == chosen(timestep_s=0.001) == chosen(gains="compliant") == "implicitfast"
-    assert chosen(**COMPLIANT) == "Euler"
-    assert chosen(**COMPLIANT, integrator="implicitfast") == "implicitfast"
+    assert chosen() == chosen(timestep_s=0.001) == chosen(gains=COMPLIANT) == "implicitfast"
+    assert chosen(**SOFT) == "Euler"
+    assert chosen(**SOFT, integrator="implicitfast") == "implicitfast"
     light = Perturbation(mass_scale=((0.9, 0.8),))
-    assert chosen(**COMPLIANT, perturbation=light) == "implicitfast"
+    assert chosen(**SOFT, perturbation=light) == "implicitfast"
     with pytest.raises(SettingsError, match=r"masses times 0.8: .* up to 2.47, allowed are 2.2, .* from 4 on"):
-        CellConfig(**COMPLIANT, integrator="Euler", perturbation=light)
+        CellConfig(**SOFT, integrator="Euler", perturbation=light)
     carry = EnvSetup.resolve("SyncCarry", {"cell": CellConfig(integrator="Euler")})
     assert carry.config.scene.integrator == "Euler"
     for task, gains in (("SineTracking", "stiff"), ("Handover", "stiff"), ("SyncCarry", "compliant")):
@@ -320,7 +321,7 @@ def test_feed_forward_is_mujocos_inverse_dynamics(declared_kg, grippers):
     scene = SceneSettings(ArmMount((-0.6, 0.7, 0.1), 0.4), equipment=Equipment(grippers=grippers))
     forward, rng, steps, carried_kg = FeedForward(scene, 1, 5, 1), np.random.default_rng(0), 5, np.array([0.7, 0.2])
     forward.declare_payload(np.full((1, 2), declared_kg))
-    kp, kv = (np.tile(each, 2) for each in GAINS[scene.gains])
+    kp, kv = (np.tile(each, 2) for each in (scene.gains.kp_nm_rad, scene.gains.kv_nms_rad))
     model = build_collision_model(scene)
     data = mujoco.MjData(model)
     for _ in range(20):

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from dual_ur10 import ENV_IDS, TYPICAL_PERTURBATION, ArmMount, CellConfig, ServojProfile
+from dual_ur10.assets.gains import STIFF, Gains
 from dual_ur10.assets.obstacles import Box
 from dual_ur10.assets.prop import Capsule, Prop
 from dual_ur10.assets.settings import Equipment
@@ -33,6 +34,7 @@ from dual_ur10.sim2real.config.cell_kinds import CELL_KINDS, CellKind
 from dual_ur10.sim2real.recording.header import mounts_of
 from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.recording.run import Run
+from tests.assets.test_arm_shape import OWN
 from tests.sim2real.analysis.made import DH, header
 from tests.sim2real.analysis.recorded import record
 from tests.soak import scaled
@@ -45,6 +47,7 @@ CELL = CellConfig(
     left=ArmMount((-0.75, 0.6, 0.0), 0.01),
     servoj=ServojProfile("cb3", 0.04, 1500.0),
     obstacles=(Box(name="post", position_m=(0.0, 1.6, 0.4), size_m=(0.2, 0.2, 0.2)),),
+    gains=OWN,
     speed_rad_s=1.0,
 )
 
@@ -175,6 +178,7 @@ class PropSettings(SineSettings):
     prop: Box | Prop | None = None
     pairs: tuple[tuple[Capsule | None, int], ...] = ()
     named: Mapping[str, Capsule] | None = None
+    gains: Gains = STIFF
 
 
 class WithProps(SineTracking):
@@ -184,7 +188,8 @@ class WithProps(SineTracking):
 
     @classmethod
     def requirements(cls, settings: Any) -> SceneRequirements:
-        return SceneRequirements(Equipment(props=() if settings.prop is None else (settings.prop,)))
+        props = () if settings.prop is None else (settings.prop,)
+        return SceneRequirements(Equipment(props=props), gains=settings.gains)
 
 
 def test_keywords_that_are_dataclasses_are_those_of_the_replay(tmp_path: Path, registries: None) -> None:
@@ -192,19 +197,21 @@ def test_keywords_that_are_dataclasses_are_those_of_the_replay(tmp_path: Path, r
     body = "<body pos='0 0 .03'><freejoint/><geom type='box' size='.03 .03 .03' mass='.2'/></body>"
     capsule = Capsule((0, 0, 0), (0, 0, 0.1), 0.02)
     prop = Prop(name="box", mjcf=f"<mujoco><worldbody>{body}</worldbody></mujoco>", held=(capsule, None), noise=0.5)
-    keywords = {"prop": prop, "pairs": ((capsule, 1), (None, 2)), "named": {"a": capsule}}
+    keywords = {"prop": prop, "pairs": ((capsule, 1), (None, 2)), "named": {"a": capsule}, "gains": OWN}
     run = played(tmp_path, "Lab/WithProps-v0", **keywords)
     assert keywords_of(run.header) == {**keywords, "action_latency_ticks": 0}
     found = replay(run)
     assert found.is_exact, found.difference
     with gym.make("Lab/WithProps-v0", **keywords) as env:
-        signature = view_of_env(env).signature
+        signature, model = view_of_env(env).signature, env.unwrapped.core.cell.model_and_data(0)[0]
+    assert model.actuator_gainprm[:6, 0].tolist() == list(OWN.kp_nm_rad)
     assert view_of_signature(signature).setup.settings == PropSettings(**keywords)
     for name, value, words in (
         ("prop", {"name": "box", "mjcf": "<"}, "keyword prop .*MJCF"),
         ("prop", {"radius": 1}, "keyword prop .*'radius'"),
         ("pairs", [[{"radius_m": 1.0}, 1]], "keyword pairs "),
         ("named", {"a": {"from_m": 3}}, "keyword named "),
+        ("gains", {"kp_nm_rad": [1.0] * 6, "kv_nms_rad": [0.0] * 6}, "keyword gains .* must be 0.01 to"),
     ):
         with pytest.raises(RecordingError, match=words):
             keywords_of(replace(run.header, kwargs={name: value}))

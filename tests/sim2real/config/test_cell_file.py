@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from dual_ur10 import ENV_IDS
+from dual_ur10.assets.gains import STIFF, Gains
 from dual_ur10.assets.obstacles import Box, Capsule, Plane
 from dual_ur10.assets.props import BLOCK
 from dual_ur10.assets.settings import Equipment, SceneSettings
@@ -110,6 +111,14 @@ def refused(tmp_path: Path, content: dict[str, Any] | str | bytes) -> str:
 # Content of a file.
 
 
+def test_gains_are_those_of_the_file_or_of_the_task() -> None:
+    table = {"kp_nm_rad": [900.0] * 6, "kv_nms_rad": [60.0, 60.0, 60.0, 50.0, 40.0, 30.0]}
+    for values, wanted in (({}, STIFF), ({"gains": table}, Gains(*table.values()))):
+        cell = cell_of({**GOOD, **values})
+        for config in (cell.config(), cell.simulated(), CellFile.read(tomllib.loads(cell.text())).config()):
+            assert config.equipped(Equipment(), 0.002, STIFF).scene.gains == wanted
+
+
 def test_each_arm_has_the_tool_that_the_file_names() -> None:
     generic = {"kind": "digital_output", "output": 0, "tool": "generic_140"}
     for left, right, names in (
@@ -121,7 +130,7 @@ def test_each_arm_has_the_tool_that_the_file_names() -> None:
         for scene in (config.scene, config.measured_scene):
             assert [tool.name for tool in scene.equipment.tools] == names
         assert config.measured_scene.equipment.grippers == (right["kind"] != "none")
-        equipment = config.equipped(Equipment(grippers=True, props=(BLOCK,)), 0.002, "stiff").equipment
+        equipment = config.equipped(Equipment(grippers=True, props=(BLOCK,)), 0.002, STIFF).equipment
         assert [tool.name for tool in equipment.tools] == names
 
 

@@ -320,7 +320,7 @@ class Handover(StagedTask[HandoverSettings, HandoverMeasured, Facts]):
     def requirements(cls, settings: HandoverSettings) -> SceneRequirements:
         """Return the requirements: two grippers and the block."""
         equipment = Equipment(grippers=True, props=(BLOCK, TARGET), grip_force_n=settings.grip_force_n)
-        return SceneRequirements(equipment, 0.002, "stiff", PICKING)
+        return SceneRequirements(equipment, closer=PICKING)
 
     def start(self, rows: Rows, rngs: Sequence[np.random.Generator]) -> Start:
         """Sample giver, block pose and target pose. The arms are above the table, with open grippers."""

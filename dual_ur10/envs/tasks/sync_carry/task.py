@@ -8,6 +8,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
+from dual_ur10.assets.gains import COMPLIANT
 from dual_ur10.assets.props import BAR, BAR_MASS_KG, BAR_WELDS
 from dual_ur10.assets.settings import DEFAULT_TOOLS, Equipment, home_q_rad
 from dual_ur10.assets.tool import Tool, levers_m, strokes_m
@@ -271,7 +272,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
             welds=BAR_WELDS if settings.rigid else (),
             grip_force_n=settings.grip_force_n,
         )
-        return SceneRequirements(equipment, 0.002 if settings.rigid else 0.001, "compliant", PICKING)
+        return SceneRequirements(equipment, 0.002 if settings.rigid else 0.001, COMPLIANT, PICKING)
 
     def start(self, rows: Rows, rngs: Sequence[np.random.Generator]) -> Start:
         """Sample the bar's pose. The grippers are open above its nominal position, or welded to it."""

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 _REPORT_S = 30.0  # between lines where no terminal can draw a bar
 
-_OPTIONS = {"env": "ENV", "settings": "--set", "change": "--setting"}
+_OPTIONS = {"env": "ENV", "settings": "--set", "change": "--hyperparameter"}
 """Names on the command line of the parameters that have another name here."""
 
 
@@ -38,7 +38,7 @@ _Agents = Annotated[
 
 _Changes = Annotated[
     list[str] | None,
-    typer.Option("--setting", metavar="KEY=VALUE", help="A setting of the algorithm. May be repeated."),
+    typer.Option("--hyperparameter", metavar="KEY=VALUE", help="A hyperparameter of the algorithm. May be repeated."),
 ]
 _Dataset = Annotated[str, typer.Option("--dataset", metavar="ID", help="bc, dagger: a Minari dataset to start from.")]
 

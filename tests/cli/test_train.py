@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from dual_ur10.cli.main import app
 
-SMALL = ("--envs", "2", "--set", "duration_s=0.4", "--setting", "hidden=[8]", "--setting", "fit_steps=5")
+SMALL = ("--envs", "2", "--set", "duration_s=0.4", "--hyperparameter", "hidden=[8]", "--hyperparameter", "fit_steps=5")
 ROUND = 20  # steps of two episodes
 
 
@@ -28,9 +28,9 @@ def run(*arguments):
         (("Lift",), "unknown environment"),
         (("SineTracking", "--algo", "td3"), "unknown algorithm 'td3': use one of 'ppo', 'sac', 'bc', 'dagger'"),
         (("SineTracking", "--agents", "both"), "unknown agents"),
-        (("SineTracking", "--setting", "rounds=2"), "unknown setting of dagger 'rounds'"),
-        (("SineTracking", "--setting", "hidden=many"), "hidden is 'many'"),
-        (("SineTracking", "--setting", "unseen=[3]"), "unseen[0] is 3"),
+        (("SineTracking", "--hyperparameter", "rounds=2"), "unknown hyperparameter of dagger 'rounds'"),
+        (("SineTracking", "--hyperparameter", "hidden=many"), "hidden is 'many'"),
+        (("SineTracking", "--hyperparameter", "unseen=[3]"), "unseen[0] is 3"),
         (("SineTracking", "--set", "speed=2"), "speed"),
         (("SineTracking", "--resume", "x"), "leave out ENV."),
         (("--resume", "x", "--seed", 5, "--steps", 9, "--set", "a=1"), "leave out --seed, --set. Only --steps and"),
@@ -52,7 +52,7 @@ def test_a_bad_argument_is_one_line(arguments, message, tmp_path, monkeypatch):
     ("arguments", "message"),
     [
         (("--init", "nowhere"), "nowhere cannot be read"),
-        (("--setting", "hidden=[2100,2100]"), "hidden is (2100, 2100): the network has 4"),
+        (("--hyperparameter", "hidden=[2100,2100]"), "hidden is (2100, 2100): the network has 4"),
     ],
 )
 def test_a_bad_setting_is_refused_before_a_folder_is_made(arguments, message, tmp_path, monkeypatch):

@@ -157,10 +157,10 @@ class TaskSettings:
         steps: Total number of environment steps, by algorithm; general numbers for those that are left out.
         randomization: Variation from episode to episode.
         keywords: Further keywords of the environment.
-        from_nothing: Keywords of PPO and SAC instead of these and the default latency. Without random plants and
+        from_scratch: Keywords of PPO and SAC instead of these and the default latency. Without random plants and
             latency an untrained policy learns in a third of the steps.
-        agents: Networks of PPO and SAC from nothing, unless others are asked for; imitation: "joint".
-        ppo: Settings of PPO from nothing. With a checkpoint to begin with, the general ones count.
+        agents: Networks of PPO and SAC from scratch, unless others are asked for; imitation: "joint".
+        ppo: Settings of PPO from scratch. With a checkpoint to begin with, the general ones count.
         sac: Settings of SAC.
         imitation: Settings of bc and dagger.
         checks: Number of episodes of each progress check of bc and dagger. For PPO and SAC it is the default.
@@ -170,7 +170,7 @@ class TaskSettings:
     steps: dict[str, int] = dataclasses.field(default_factory=dict)
     randomization: str = "mild"
     keywords: dict[str, Any] = dataclasses.field(default_factory=dict)
-    from_nothing: dict[str, Any] = dataclasses.field(
+    from_scratch: dict[str, Any] = dataclasses.field(
         default_factory=lambda: {"randomization": "none", "action_latency_ticks": 0}
     )
     agents: AgentsKind = "joint"
@@ -281,7 +281,7 @@ SYNC_CARRY: Final = TaskSettings(
     # It sees the commanded positions, the goal of the bar and the time. The fingers close by time alone: a network
     # that saw them kept closing after an accidental early start.
     imitation=Imitation(noise=0.05, unseen=_CARRY_UNSEEN),
-    from_nothing={"action_mode": "tcp_delta", "randomization": "none", "action_latency_ticks": 0},
+    from_scratch={"action_mode": "tcp_delta", "randomization": "none", "action_latency_ticks": 0},
     agents="shared",
     ppo=dataclasses.replace(
         _TO_GOALS,
@@ -299,7 +299,7 @@ HANDOVER: Final = TaskSettings(
     envs=192,
     randomization="wide",
     steps={"ppo": 1_500_000, "sac": 300_000, "bc": 115_200, "dagger": 460_800},
-    from_nothing={"action_mode": "tcp_delta", "randomization": "none", "action_latency_ticks": 0},
+    from_scratch={"action_mode": "tcp_delta", "randomization": "none", "action_latency_ticks": 0},
     agents="shared",
     ppo=dataclasses.replace(
         _TO_GOALS, episode_steps=500, batch_size=4096, epochs=10, last_std=0.05, unseen=_HANDOVER_UNSEEN
@@ -452,13 +452,13 @@ def defaults(
     Args:
         env_id: Id of the environment, or its short name.
         algorithm: See `Training`.
-        agents: See `Training`. None: `TaskSettings.agents` for PPO and SAC from nothing, "joint" otherwise.
+        agents: See `Training`. None: `TaskSettings.agents` for PPO and SAC from scratch, "joint" otherwise.
         envs: See `Training`.
         steps: See `Training`.
         seed: See `Training`.
         randomization: As for the environment; None: that of the task's settings.
         keywords: Keywords of the environment. The default action latency is `LATENCY_TICKS`, but PPO and SAC from
-            nothing have `TaskSettings.from_nothing`.
+            scratch have `TaskSettings.from_scratch`.
         changes: Settings of the algorithm that differ from their defaults, by name.
         dataset: See `Training`.
         init: See `Training`.
@@ -478,14 +478,14 @@ def defaults(
     names = [each.name for each in dataclasses.fields(settings)]
     for name in changes or {}:
         if name not in names:
-            raise UnknownNameError(f"setting of {algorithm}", name, names)
+            raise UnknownNameError(f"hyperparameter of {algorithm}", name, names)
     asked = dict(keywords or {})
     if randomization is not None:
         if "randomization" in asked:
             raise SettingsError("randomization is set twice: by its option and by a keyword")
         asked["randomization"] = randomization
     usual = {**own.keywords, "randomization": own.randomization, "action_latency_ticks": LATENCY_TICKS}
-    given = {**(usual if algorithm in IMITATION or init else own.from_nothing), **asked}
+    given = {**(usual if algorithm in IMITATION or init else own.from_scratch), **asked}
     if agents is None:
         agents = "joint" if algorithm in IMITATION or init else own.agents
     view_of(env_id, given)  # refuses keywords that make no environment before anything is made

@@ -34,7 +34,7 @@ def test_every_task_has_settings_for_every_algorithm(env_id, algorithm):
     own = task_settings(env_id)
     assert asked.steps == {**GENERAL_STEPS, **own.steps}[algorithm]
     shown = {"randomization": own.randomization, "action_latency_ticks": 5, **own.keywords}
-    assert asked.keywords == (shown if algorithm in IMITATION else own.from_nothing)
+    assert asked.keywords == (shown if algorithm in IMITATION else own.from_scratch)
     assert asked.agents == ("joint" if algorithm in IMITATION else own.agents)
     assert isinstance(asked.settings, Imitation if algorithm in IMITATION else Reinforcement)
     assert (asked.envs, asked.checks) == ((own.envs, own.checks) if algorithm in IMITATION else (64, 32))
@@ -49,7 +49,7 @@ def test_ppo_can_continue_what_imitation_made(env_id):
 
 
 @pytest.mark.parametrize(("task", "keywords"), [("Handover", {}), ("SyncCarry", {}), ("SyncCarry", {"grasp": "rigid"})])
-def test_ppo_from_nothing_sees_the_goals_alone(task, keywords):
+def test_ppo_from_scratch_sees_the_goals_alone(task, keywords):
     asked = defaults(task, "ppo", keywords=keywords)
     view = view_of(asked.env_id, asked.keywords)
     layout = view.setup.task_type.agent_layout_for(view.setup.settings)

@@ -36,9 +36,9 @@ from dual_ur10.sim2real.analysis.timing import timing
 from dual_ur10.sim2real.config.cell_file import load_cell_file
 from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.runtime.arm_memory import Phase
+from dual_ur10.sim2real.runtime.arm_sender import STOP_RAD_S2
 from dual_ur10.sim2real.runtime.latch import Latch
 from dual_ur10.sim2real.runtime.runner import Runner
-from dual_ur10.sim2real.runtime.stop_ramp import STOP_RAD_S2
 from ur_emulator.emulated_cell import EmulatedCell
 
 ARMS = ("left", "right")

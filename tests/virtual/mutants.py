@@ -73,7 +73,6 @@ _LATCH = "sim2real/runtime/latch.py"
 _RUNNER = "sim2real/runtime/runner.py"
 _CELL = "sim2real/runtime/rtde_cell.py"
 _WRITER = "sim2real/runtime/target_writer.py"
-_RAMP = "sim2real/runtime/stop_ramp.py"
 _SCALING = "sim2real/control/time_scaling.py"
 _GATE = "kernel/gate.hpp"
 _CORE = "envs/core/core.py"
@@ -90,8 +89,8 @@ MUTANTS = (
     Mutant("watchdog is not fed before the start", _SENDER, "        self._kicked_s = now\n            if not self.control.kickWatchdog():", "        self._kicked_s = now\n            if False:", (), ""),
     Mutant("a stale supervisor is accepted", _SENDER, "now - self.cell.supervisor_beat_s > STALE_S", "False", ("stall", "death")),
     Mutant("watchdog of 1 Hz", "sim2real/runtime/arm_process.py", "control.setWatchdog(WATCHDOG_HZ)", "control.setWatchdog(1.0)"),
-    Mutant("ramp is too slow", _RAMP, "STOP_RAD_S2: Final = 4.0", "STOP_RAD_S2: Final = 0.1", ("policy", "death")),
-    Mutant("ramp is too hard", _RAMP, "STOP_RAD_S3: Final = 200.0", "STOP_RAD_S3: Final = 2e5; STOP_RAD_S2 = 60.0", ("policy", "death")),
+    Mutant("ramp is too slow", _SENDER, "STOP_RAD_S2: Final = 4.0", "STOP_RAD_S2: Final = 0.1", ("policy", "death")),
+    Mutant("ramp is too hard", _SENDER, "STOP_RAD_S3: Final = 200.0", "STOP_RAD_S3: Final = 2e5; STOP_RAD_S2 = 60.0", ("policy", "death")),
     Mutant("brake after the targets is missing", _WRITER, "brake = past[-1] + self._brake @ (past - past[-1])", "brake = past[-1] + 0 * self._brake @ (past - past[-1])"),
     Mutant("targets pass the gate and change", _WRITER, "whole = np.concatenate([targets_rad,", "whole = np.concatenate([targets_rad + 1e-7,"),
     Mutant("gate forgets what it released", _GATE, "        copy(past, window + e.ticks * JOINTS, HISTORY * JOINTS);\n", "        (void)past;\n"),

@@ -1,4 +1,4 @@
-"""Trackers of the objects that a task handles, as the cell file names them."""
+"""Trackers and placer of the objects that a task handles, as the cell file names them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,14 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from dual_ur10.assets.prop import Prop
-from dual_ur10.errors import CellFileError, DualUR10Error, LinkError, SettingsError
+from dual_ur10.errors import (
+    CellFileError,
+    DualUR10Error,
+    EmulatorError,
+    LinkError,
+    OperationRefusedError,
+    SettingsError,
+)
 from dual_ur10.ids import load_object
 from dual_ur10.kinematics.poses import Poses, compose
 from dual_ur10.kinematics.rotations import quat_from_rotvec
@@ -302,3 +309,47 @@ def _tracker_of(cell_file: CellFile, prop: Prop, entry: Tracker | None, system: 
         raise CellFileError(f"{cell_file.source}: the camera of an emulated cell needs the table [emulator]")
     link = JsonLink("emulated camera", cell_file.left.host, cell_file.emulator.port, _ANSWER_S, system=system)
     return CameraTracker(link, prop.name, entry or EmulatedTrackerEntry(prop=prop.name), system=system)
+
+
+class ObjectPlacer(Closing):
+    """Client that puts objects of a task at poses, at rest.
+
+    Args:
+        link: Connection to the service; the placer closes it.
+    """
+
+    def __init__(self, link: JsonLink) -> None:
+        self._link = link
+
+    def place(self, name: str, position_m: Sequence[float], quat: Sequence[float]) -> None:
+        """Put an object at a pose in the cell frame.
+
+        Args:
+            name: Name of the prop.
+            position_m: (3,) of its centre.
+            quat: (4,) its orientation (w, x, y, z).
+
+        Raises:
+            EmulatorError: There is no object, it cannot be put there, or there was no answer.
+        """
+        pose = {
+            "prop": name,
+            "position_m": [float(each) for each in position_m],
+            "quat": [float(each) for each in quat],
+        }
+        try:
+            self._link.ask("place", **pose)
+        except (LinkError, OperationRefusedError) as error:
+            raise EmulatorError(f"the {name} was not placed: {error}") from error
+
+    def close(self) -> None:
+        """End the connection. May be called twice."""
+        self._link.close()
+
+
+def placer_of(cell_file: CellFile, system: System = LOCAL) -> ObjectPlacer | None:
+    """Return the placer that a cell file names, or None if a person places the objects."""
+    entry = cell_file.emulator
+    if entry is None:
+        return None
+    return ObjectPlacer(JsonLink("object placer", cell_file.left.host, entry.port, system=system))

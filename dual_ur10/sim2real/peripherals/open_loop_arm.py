@@ -8,16 +8,18 @@ from __future__ import annotations
 
 import binascii
 import contextlib
+import json
 import logging
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from dual_ur10.errors import DualUR10Error, LinkError, OperationRefusedError, SettingsError, TrajectoryError
+from dual_ur10.files import write_text
 from dual_ur10.kinematics.ur10 import ARMS, JOINTS
-from dual_ur10.sim2real.peripherals.commanded_positions import Commanded, CommandedPositions
 from dual_ur10.sim2real.peripherals.serial_line import SerialLine, SerialTransport
 from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.processes.transport import Transport
@@ -43,9 +45,85 @@ log = logging.getLogger(__name__)
 START_TOLERANCE_RAD: Final = 1e-3
 """Largest difference of a trajectory's first point from the last commanded position."""
 
+_MOST_BYTES: Final = 64 * 1024
 _POLL_S: Final = 0.1
 _LATE_S: Final = 1.0
 _ROUNDING_RAD: Final = 2e-6  # numbers travel in microradians
+
+
+class Commanded(NamedTuple):
+    """Content of the file.
+
+    Attributes:
+        q_rad: Commanded joint positions, (6,) of each arm: at the end of the last motion, or at the beginning of one
+            that has not ended.
+        settled: True if that motion has ended.
+        boot: Number of the device's start, then.
+    """
+
+    q_rad: tuple[tuple[float, ...], ...]
+    settled: bool
+    boot: int
+
+
+class CommandedPositions:
+    """File of one device in the user's state folder. It is replaced as a whole, and never deleted.
+
+    Args:
+        device: Number of the device.
+        arms: Number of its arms.
+        system: State folder and date.
+
+    Attributes:
+        path: The file.
+
+    Raises:
+        SettingsError: There is no state folder.
+    """
+
+    def __init__(self, device: int, arms: int, system: System) -> None:
+        self._arms, self._system = arms, system
+        self.path = system.state_folder() / f"serial-arm-{device:08x}.json"
+
+    def read(self) -> Commanded | None:
+        """Return the content, or None if nothing was ever commanded.
+
+        Raises:
+            SettingsError: It cannot be read. It stays as it is.
+        """
+        try:
+            with self.path.open("rb") as file:
+                values = json.loads(file.read(_MOST_BYTES))
+            found = Commanded(tuple(_six(row) for row in values["q_rad"]), values["settled"], values["boot"])
+            if len(found.q_rad) != self._arms or type(found.settled) is not bool or type(found.boot) is not int:
+                raise ValueError(f"it is not that of {self._arms} arm(s)")
+            return found
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+            raise SettingsError(
+                f"{self.path}, the last commanded position of this arm, cannot be read ({error}): look where the arm "
+                "stands, move the file away, and declare the position"
+            ) from error
+
+    def write(self, commanded: Commanded) -> None:
+        """Replace the content.
+
+        Raises:
+            DualUR10Error: It cannot be written. The old content stays.
+        """
+        values = {**commanded._asdict(), "when_utc": f"{self._system.clock.utc():%Y-%m-%d %H:%M:%S}"}
+        try:
+            write_text(self.path, json.dumps(values) + "\n")
+        except DualUR10Error as error:
+            raise DualUR10Error(f"{error}: nothing moves while the position cannot be kept. Make room there") from error
+
+
+def _six(row: Any) -> tuple[float, ...]:
+    numbers = tuple(float(each) for each in row)
+    if len(numbers) != 6 or not all(map(math.isfinite, numbers)):
+        raise ValueError("a row is not six numbers")
+    return numbers
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,6 @@ from dual_ur10.sim2real.processes.machine_load import StallWatch, too_busy
 from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
-from dual_ur10.sim2real.runtime.stop_ramp import StopRamp
 from dual_ur10.sim2real.runtime.tracking import Following
 from dual_ur10.types import Array
 
@@ -47,6 +46,11 @@ scatter of their clock estimates."""
 
 MOST_LATE_S: Final = 0.1
 """Largest delay of sending before the loop gives up: the controller's watchdog has the same limit."""
+
+STOP_RAD_S2: Final = 4.0
+STOP_RAD_S3: Final = 200.0
+"""Deceleration and jerk of a stop: from 0.5 rad/s to rest in 0.15 s. The deceleration is that of `stopj` in Universal
+Robots' own client library."""
 
 _KICK_S: Final = 0.02
 _RECENT: Final = 5  # targets of the other arm; the last ones may already slow it down
@@ -478,3 +482,38 @@ def _speed(memory: ArmMemory, tick_s: float) -> float:
         return 0.0
     periods = np.maximum(np.diff(sent.period), 1.0)
     return float((np.abs(np.diff(sent.target_rad, axis=0)).max(axis=1) / periods).max() / tick_s)
+
+
+class StopRamp:
+    """Jerk-limited ramp to rest along the current direction of motion, all joints together.
+
+    Args:
+        last_rad: (2, 6) last two targets sent.
+        tick_s: Time between two targets.
+    """
+
+    def __init__(self, last_rad: Array, tick_s: float) -> None:
+        self._q: Array = last_rad[-1].copy()
+        self._direction: Array = (last_rad[-1] - last_rad[-2]) / tick_s
+        self._tick_s = tick_s
+        self._speed = float(np.abs(self._direction).max())
+        if self._speed > 0.0:
+            self._direction /= self._speed
+        self._deceleration = 0.0
+
+    @property
+    def at_rest(self) -> bool:
+        """True once the last returned target is at rest."""
+        return self._speed <= 0.0
+
+    def __call__(self) -> Array:
+        """Return the next target, (6,)."""
+        if not self.at_rest:
+            step = STOP_RAD_S3 * self._tick_s
+            # Towards the end the deceleration fades, so that the arm stops smoothly.
+            fading = (2.0 * STOP_RAD_S3 * self._speed) ** 0.5
+            self._deceleration = min(self._deceleration + step, STOP_RAD_S2, max(fading, step))
+            before = self._speed
+            self._speed = max(0.0, before - self._deceleration * self._tick_s)
+            self._q = self._q + self._direction * (self._speed * self._tick_s)
+        return self._q.copy()

@@ -30,8 +30,7 @@ from dual_ur10.sim2real.control.command_queue import MAX_LATENCY_TICKS
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.links.arm_status import ArmStatus
 from dual_ur10.sim2real.peripherals.grippers import Grippers
-from dual_ur10.sim2real.peripherals.object_placer import ObjectPlacer, placer_of
-from dual_ur10.sim2real.peripherals.object_tracker import Flanges, ObjectTracker, trackers_of
+from dual_ur10.sim2real.peripherals.object_tracker import Flanges, ObjectPlacer, ObjectTracker, placer_of, trackers_of
 from dual_ur10.sim2real.processes.machine_load import is_too_busy
 from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.runtime.approach import Approach, Rates, plan

@@ -14,7 +14,7 @@ from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.kinematics.robots import MODEL_OF_FAMILY
 from dual_ur10.kinematics.ur10 import DH_A_M, NOMINAL_DH, nominal_dh
 from dual_ur10.sim2real.commissioning import doctor
-from dual_ur10.sim2real.commissioning.doctor import REGISTERS
+from dual_ur10.sim2real.commissioning.doctor import REGISTERS, Route
 from dual_ur10.sim2real.commissioning.findings import (
     ExpectedArm,
     Finding,
@@ -29,7 +29,6 @@ from dual_ur10.sim2real.commissioning.findings import (
     tool_findings,
 )
 from dual_ur10.sim2real.config.cell_file import CellFile
-from dual_ur10.sim2real.links.network_route import Route
 from dual_ur10.sim2real.links.primary_link import PrimaryFacts
 from dual_ur10.sim2real.links.rtde_link import RtdeClient
 from dual_ur10.sim2real.links.rtde_stream import Sample

@@ -17,13 +17,13 @@ from dual_ur10.sim2real.config.cell_file_tables import (
     OwnTrackerEntry,
 )
 from dual_ur10.sim2real.links.json_link import JsonLink
-from dual_ur10.sim2real.peripherals.object_placer import placer_of
 from dual_ur10.sim2real.peripherals.object_tracker import (
     STALE_S,
     CameraTracker,
     Flanges,
     ObjectPose,
     ObjectTracker,
+    placer_of,
     trackers_of,
 )
 from dual_ur10.testing import VirtualCell

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dual_ur10.sim2real.runtime.stop_ramp import STOP_RAD_S2, STOP_RAD_S3, StopRamp
+from dual_ur10.sim2real.runtime.arm_sender import STOP_RAD_S2, STOP_RAD_S3, StopRamp
 
 speeds = st.lists(st.floats(-2.5, 2.5), min_size=6, max_size=6)
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from dual_ur10.sim2real.links.network_route import Route, is_loopback, route_to
+from dual_ur10.sim2real.commissioning.doctor import Route, is_loopback, route_to
 
 HEADER = "Iface Destination Gateway Flags RefCnt Use Metric Mask MTU Window IRTT\n"
 

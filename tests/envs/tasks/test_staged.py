@@ -134,6 +134,8 @@ def test_success_takes_the_last_condition_for_a_while_and_earns_the_steps_left()
     assert outcome.success.all()
     assert (outcome.terms[..., -1] == 44).all()
     assert outcome.info["extra"].shape == (N,)
+    task.begin_rows(np.array([1]))
+    assert task.evaluate(None, now(True)).terminal.tolist() == [True, False, True, True]  # an episode begins solved
 
 
 def test_a_lost_row_fails_whatever_it_has_passed():

@@ -163,7 +163,12 @@ def test_the_declared_load_of_each_row_follows_its_stage_with_a_ramp():
     assert declared[-1].tolist() == task.load_kg().tolist()
     task.forget_load(np.array([2]))
     task.begin_rows(np.array([2]))
-    assert not task.payload_kg()[2, 1]
+    before = task.payload_kg()
+    assert not before[2, 1]
+    task.evaluate(None, now(True))  # all put down what they carry
+    released = [task.payload_kg() for _ in range(14)]
+    assert released[0].ravel().tolist() == pytest.approx(np.maximum(before - 0.08, 0.0).ravel().tolist())
+    assert not released[-1].any()
 
 
 class Case(NamedTuple):

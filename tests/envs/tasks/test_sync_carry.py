@@ -1,5 +1,6 @@
 import functools
 import re
+from types import SimpleNamespace
 
 import gymnasium as gym
 import numpy as np
@@ -7,10 +8,11 @@ import pytest
 
 from dual_ur10 import CellConfig, ServojProfile, errors, policies
 from dual_ur10.assets.props import BAR_MASS_KG
+from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.tasks.observation_layout import pose_of
 from dual_ur10.envs.tasks.sync_carry.path import MOVES, CarryPath
 from dual_ur10.envs.tasks.sync_carry.settings import bar_pose
-from dual_ur10.envs.tasks.sync_carry.task import SyncCarry
+from dual_ur10.envs.tasks.sync_carry.task import CarryMeasured, SyncCarry
 from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics.poses import Poses, compose, relative_to, rotation_angle
 from dual_ur10.kinematics.rotations import quat_from_rotvec, rotate
@@ -205,6 +207,32 @@ def test_one_arm_cannot_earn_success():
     infos, _ = run(let_go(1, 0))
     assert not infos[-1]["is_success"]
     assert max(info["reward/synchrony"] for info in infos) == 0.0
+
+
+def test_slip_and_load_of_either_arm_count_from_the_lift_to_the_end_of_the_episode():
+    task = EnvSetup.resolve("SyncCarry", {}).make_task(3)
+    grips, force, both = np.zeros((3, 2, 3)), np.zeros((3, 2, 3)), np.ones(3, dtype=bool)
+    force[0, 0, 2], force[1, 1, 2] = -20.0, -15.0
+
+    def carry(clock_s):
+        clock = np.full(3, clock_s)
+        task._carry(CarryMeasured(clock, None, SimpleNamespace(grip_in_tool_m=grips), force), clock > 0.0, both)
+
+    grips[...] = 0.5  # where they are held does not count
+    carry(-0.04)
+    assert not task._worst_slip.any()
+    grips[0, 0, 1] += 0.002
+    grips[1, 1, 2] -= 0.004
+    carry(0.04)
+    grips[...] = 0.5
+    carry(0.08)
+    assert task._worst_slip.tolist() == pytest.approx([0.002, 0.004, 0.0])
+    assert task._carried.tolist() == [[40.0, 0.0], [0.0, 30.0], [0.0, 0.0]]
+    task._squares[:], task._count[:] = 1.0, 7
+    task.start(np.array([1]), [np.random.default_rng(0)])
+    for values in (task._worst_slip, task._carried, task._squares, task._count):
+        assert not values[1].any()
+        assert values[0].any()
 
 
 def test_each_arm_must_carry_a_part_of_the_load():

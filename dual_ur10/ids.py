@@ -161,10 +161,10 @@ def load_object(path: str, kind: str) -> Any:
     Raises:
         SettingsError: The module cannot be imported, or has no such name.
     """
-    module, name = path.split(":")
+    module, _, name = path.partition(":")
     try:
         return getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError) as error:
+    except (ImportError, AttributeError, ValueError) as error:
         raise SettingsError(
             f"{kind}, {path!r}, cannot be imported: {error}. Run this where Python finds {module!r}, and name what it "
             "defines"

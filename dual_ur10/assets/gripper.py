@@ -68,7 +68,7 @@ def add_rigid_gripper(arm: Any, tool: Tool) -> None:
     )
     z = tool.fingertip_m - half[2]
     palm.add_geom(solid, name="fingers", type=mujoco.mjtGeom.mjGEOM_BOX, pos=(0, 0, z), size=half)
-    along = half[1] - 0.025
+    along = max(half[1] - 0.025, 0.001)  # MuJoCo takes no capsule without a length
     radius = math.hypot(half[0], half[1] - along, half[2])
     palm.add_geom(solid, name="fingers_round", fromto=(0, -along, z, 0, along, z), size=(radius, 0, 0))
 
@@ -209,8 +209,15 @@ def _check_figures(model: Any, tool: Tool) -> None:
 
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
+    for name, wanted in (("wrench", (0.0, 0.0, 0.0)), ("tcp", (0.0, 0.0, tool.tcp_m))):
+        site = data.site(name)
+        if np.abs(site.xpos - wanted).max() > _NEAR or np.abs(site.xmat - np.eye(3).ravel()).max() > _NEAR:
+            x, y, z = site.xpos.tolist()
+            raise SettingsError(
+                f"site {name!r} in the mjcf of the tool {tool.name!r} is at ({x:.4g}, {y:.4g}, {z:.4g}) m: it must be at "
+                f"(0, 0, {wanted[2]:g}) with the flange's axes, as tcp_m says; put it there, or correct tcp_m"
+            )
     found = {
-        "tcp_m": data.site("tcp").xpos[2],
         "stroke_m": model.actuator("gripper").ctrlrange[1],
         "mass_kg": model.body_subtreemass[model.body("gripper").id],
     }

@@ -7,7 +7,6 @@ tools of the cell, one for each arm.
 
 from __future__ import annotations
 
-import importlib
 import importlib.metadata
 import math
 import re
@@ -17,6 +16,7 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.errors import SettingsError, UnknownNameError
+from dual_ur10.ids import load_object
 from dual_ur10.types import Array, Vector3
 
 GROUP: Final = "dual_ur10.tools"
@@ -26,8 +26,9 @@ _OWN: Final = {
     "robotiq_2f85": "dual_ur10.assets.robotiq_2f85:ROBOTIQ_2F85",
     "generic_140": "dual_ur10.assets.generic_140:GENERIC_140",
 }
-_LARGEST_M: Final = 1.0
-_PAIRS: Final = ("speed_m_s", "force_n")
+_LEAST_M, _LARGEST_M = 1e-5, 1.0
+_SIZES: Final = {"speed_m_s": 2, "force_n": 2, "palm_size_m": 2, "pad_m": 3}
+_DRIVERS: Final = r"[a-z_]{1,40}|[A-Za-z_][\w.]{0,150}:[A-Za-z_]\w{0,40}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +41,8 @@ class Tool:
     Attributes:
         name: Name in cell files, records and messages.
         title: Name for people.
-        drivers: Kinds of gripper in a cell file that can drive it.
+        drivers: Kinds of gripper in a cell file that can drive it, and drivers of one's own, "module:Class". An emulated
+            cell has the first.
         tcp_m: Flange to tool centre point, the middle of the pads, along z.
         stroke_m: Largest distance of the pads; 0 is closed.
         speed_m_s: (2,) least and largest speed of the opening.
@@ -96,11 +98,19 @@ class Tool:
             if isinstance(value, list):
                 value = tuple(value)
                 object.__setattr__(self, each.name, value)
-            if each.name in ("name", "title", "drivers", "mjcf", "visuals"):
-                continue
-            for number in value if isinstance(value, tuple) else (value,):
-                self._check(each.name, number)
-        for name in _PAIRS:
+            if each.name == "drivers":
+                self._check_drivers(value)
+            elif each.type == "str":
+                if not isinstance(value, str):
+                    raise SettingsError(f"{each.name} of the tool {self.name!r} is {value!r:.80}: it must be text")
+            elif each.name in _SIZES and not (isinstance(value, tuple) and len(value) == _SIZES[each.name]):
+                raise SettingsError(
+                    f"{each.name} of the tool {self.name!r} is {value!r:.80}: it must be {_SIZES[each.name]} numbers"
+                )
+            else:
+                for number in value if each.name in _SIZES else (value,):
+                    self._check(each.name, number)
+        for name in ("speed_m_s", "force_n"):
             least, most = getattr(self, name)
             if least > most:
                 raise SettingsError(f"{name} of the tool {self.name!r} is {least:g} to {most:g}: write the least first")
@@ -119,11 +129,21 @@ class Tool:
                 f"is {self.finger_thick_m:g}, and must be more"
             )
 
+    def _check_drivers(self, drivers: object) -> None:
+        known = isinstance(drivers, tuple) and all(isinstance(each, str) for each in drivers)
+        if not (known and drivers and all(re.fullmatch(_DRIVERS, each) for each in drivers)):
+            raise SettingsError(
+                f"drivers of the tool {self.name!r} is {drivers!r:.80}: it must be a tuple of at least one kind, such "
+                'as "robotiq", or driver of your own, "module:Class"'
+            )
+
     def _check(self, name: str, number: object) -> None:
         if isinstance(number, bool) or not isinstance(number, int | float) or not math.isfinite(number) or number <= 0:
             raise SettingsError(f"{name} of the tool {self.name!r} is {number!r}: it must be above 0 and finite")
-        if name.endswith("_m") and number > _LARGEST_M:
-            raise SettingsError(f"{name} of the tool {self.name!r} is {number:g} m: allowed are up to {_LARGEST_M:g} m")
+        if name.endswith("_m") and not _LEAST_M <= number <= _LARGEST_M:
+            raise SettingsError(
+                f"{name} of the tool {self.name!r} is {number:g} m: allowed are {_LEAST_M:g} to {_LARGEST_M:g} m"
+            )
 
     @property
     def fingertip_m(self) -> float:
@@ -144,17 +164,22 @@ def levers_m(tools: tuple[Tool, Tool]) -> Array:
 def tool_named(name: str) -> Tool:
     """Return the tool of a name: one of this package, or one that an installed package names in `GROUP`.
 
+    Args:
+        name: Its name, or "module:NAME" of any `Tool`.
+
     Raises:
         UnknownNameError: There is none.
         SettingsError: Its package cannot be imported, or has no `Tool` of this name there.
     """
-    if name in _OWN:
-        module, _, member = _OWN[name].partition(":")
-        tool: Tool = getattr(importlib.import_module(module), member)
+    path = _OWN.get(name, name)
+    if ":" in path:
+        tool = load_object(path, "the tool")
+        if not isinstance(tool, Tool):
+            raise SettingsError(f"{path} is {tool!r:.80}: expected is a Tool")
         return tool
     installed = {each.name: each for each in importlib.metadata.entry_points(group=GROUP)}
     if name not in installed:
-        raise UnknownNameError("tool", str(name), (*_OWN, *sorted(installed)))
+        raise UnknownNameError("tool", str(name), (*_OWN, *sorted(installed)), "module:NAME of a Tool")
     entry = installed[name]
     try:
         found = entry.load()

@@ -142,7 +142,13 @@ def test_a_record_holds_tools():
         assert hash(again.equipment) == hash(config.equipment)
 
 
+def test_short_fingers_have_a_capsule():
+    short = dataclasses.replace(GENERIC_140, stroke_m=0.012, finger_thick_m=0.019)
+    assert build_collision_model(scene((short, short))).geom("left/fingers_round").size[1] == 0.001
+
+
 def test_a_tool_of_an_installed_package(monkeypatch):
+    assert tool_named(f"{__name__}:OWN") is OWN
     entry = importlib.metadata.EntryPoint("own", f"{__name__}:OWN", "dual_ur10.tools")
     monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: [entry] if group == entry.group else [])
     assert tool_named("own") is OWN
@@ -168,18 +174,34 @@ def built(old, new):
         (changed(name="a b"), SettingsError, "a tool is named 'a b'"),
         (changed(stroke_m=0.0), SettingsError, "stroke_m of the tool 'robotiq_2f85' is 0.0: it must be above 0"),
         (changed(tcp_m=np.nan), SettingsError, "tcp_m"),
-        (changed(stroke_m=85), SettingsError, "is 85 m: allowed are up to 1 m"),
+        (changed(stroke_m=85), SettingsError, "is 85 m: allowed are 1e-05 to 1 m"),
+        (changed(palm_half_m=1e-16), SettingsError, "palm_half_m .* is 1e-16 m: allowed are"),
         (changed(pad_m=(0.02, "thick", 0.04)), SettingsError, "pad_m"),
+        (changed(pad_m=0.02), SettingsError, "pad_m of the tool 'robotiq_2f85' is 0.02: it must be 3 numbers"),
+        (changed(speed_m_s=0.1), SettingsError, "speed_m_s .* it must be 2 numbers"),
+        (changed(force_n=(20.0, 50.0, 80.0)), SettingsError, "force_n .* it must be 2 numbers"),
+        (changed(stroke_m=(0.085, 0.085)), SettingsError, "stroke_m"),
+        (changed(mjcf=3), SettingsError, "mjcf of the tool 'robotiq_2f85' is 3: it must be text"),
+        (changed(drivers="robotiq"), SettingsError, "it must be a tuple of at least one kind"),
+        (changed(drivers=()), SettingsError, "drivers"),
+        (changed(drivers=("my_lab.grippers",)), SettingsError, "module:Class"),
         (changed(force_n=(50.0, 20.0)), SettingsError, "force_n .* write the least first"),
         (changed(tcp_m=0.05), SettingsError, "it must be beyond palm_m"),
         (changed(mass_kg=0.1), SettingsError, "more than that of both fingers"),
         (changed(finger_thick_m=0.005), SettingsError, "must be more"),
         (built("finger_2_joint", "other"), SettingsError, "has no joint 'finger_2_joint'"),
         (built("<geom", "<gem"), SettingsError, "mjcf of the tool 'own' is wrong"),
-        (built('pos="0 0 0.16"', 'pos="0 0 0.15"'), SettingsError, "tcp_m of the tool 'own' is 0.16, and 0.15 in its"),
+        (built('pos="0 0 0.16"', 'pos="0 0 0.15"'), SettingsError, r"site 'tcp' .* \(0, 0, 0.15\) m: .* \(0, 0, 0.16\)"),
+        (built('pos="0 0 0.16"', 'pos="0 0.01 0.16"'), SettingsError, r"site 'tcp' .* is at \(0, 0.01, 0.16\) m"),
+        (built('"tcp" pos', '"tcp" euler="0 0 90" pos'), SettingsError, "site 'tcp' .* with the flange's axes"),
+        (built('name="wrench"', 'name="wrench" pos="0 0 0.01"'), SettingsError, r"site 'wrench' .* at \(0, 0, 0\)"),
+        (built('ctrlrange="0 0.1"', 'ctrlrange="0 0.2"'), SettingsError, "stroke_m of the tool 'own' is 0.1, and 0.2 in"),
         (built('size="0.03"', 'size="0.06"'), SettingsError, "outside of palm and fingers as the safety gate knows"),
         (built("0.008 0.04", "0.008 0.06"), SettingsError, "geom 'pad_1' .* enlarge the tool's figures"),
         (lambda: tool_named("robotiq"), UnknownNameError, "did you mean 'robotiq_2f85'"),
+        (lambda: tool_named(f"{__name__}:MIXED"), SettingsError, "MIXED is .*: expected is a Tool"),
+        (lambda: tool_named("no_such_module:TOOL"), SettingsError, "the tool, 'no_such_module:TOOL', cannot be imported"),
+        (lambda: tool_named("a:b:c"), SettingsError, "cannot be imported"),
         (lambda: Equipment(tools=("robotiq_2f85",)), SettingsError, "the left and the right arm"),
         (lambda: Equipment(tools=(ROBOTIQ_2F85, 3)), SettingsError, "3 among the tools"),
         (lambda: Equipment(grippers=True, tools=MIXED, grip_force_n=200.0), SettingsError, "10 to 125 N, as the tool"),

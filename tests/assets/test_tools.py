@@ -134,6 +134,13 @@ def test_a_handover_between_different_tools(tools):
     env.close()
 
 
+@pytest.mark.parametrize("force_n", [(10.0, 40.0), (80.0, 125.0)])
+def test_mounted_grippers_need_not_have_the_force_of_a_task_without_any(force_n):
+    tools = dataclasses.replace(GENERIC_140, force_n=force_n), ROBOTIQ_2F85
+    equipment = CellConfig(tools=tools, grippers_mounted=True).measured_scene.equipment
+    assert (equipment.grippers, equipment.tools) == (True, tools)
+
+
 def test_a_record_holds_tools():
     for tools in (("generic_140", "robotiq_2f85"), (OWN, GENERIC_140)):
         config = CellConfig(tools=tools)

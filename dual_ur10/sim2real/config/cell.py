@@ -445,9 +445,17 @@ class CellConfig:
 
     @property
     def measured_scene(self) -> SceneSettings:
-        """The scene of the collision model, with the mounted grippers even if the task does not use them."""
+        """The scene of the collision model, with the mounted grippers even if the task does not use them.
+
+        Grippers that nothing uses need no force, but one that both have.
+        """
         scene = self.scene
-        return replace(scene, equipment=replace(scene.equipment, grippers=True)) if self.grippers_mounted else scene
+        equipment = scene.equipment
+        if equipment.grippers or not self.grippers_mounted:
+            return scene
+        least, most = zip(*(tool.force_n for tool in equipment.tools), strict=True)
+        force_n = min(max(equipment.grip_force_n, *least), *most)
+        return replace(scene, equipment=replace(equipment, grippers=True, grip_force_n=force_n))
 
     def equipped(self, equipment: Equipment, timestep_s: float, gains: Gains) -> CellConfig:
         """Return this cell with a task's equipment, and its physics step and servo gains unless the cell sets them."""

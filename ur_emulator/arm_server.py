@@ -17,10 +17,10 @@ from dual_ur10.sim2real.protocol.text_lines import LineReader
 from ur_emulator.addresses import PORTS
 from ur_emulator.controller import Controller
 from ur_emulator.dashboard import GREETING, Dashboard
+from ur_emulator.grippers import EmulatedGripper
 from ur_emulator.pendant import Pendant
 from ur_emulator.profile import ControllerProfile
 from ur_emulator.realtime_packet import RealtimePacket
-from ur_emulator.robotiq import RobotiqGripper
 from ur_emulator.rtde_recipes import OutputRecipe
 from ur_emulator.rtde_session import RtdePort, RtdeSession
 from ur_emulator.script import Program, Splitter, read
@@ -121,7 +121,7 @@ class ArmServer:
         hub: Sockets of the cell.
         controller: The controller.
         host: Its own loopback address.
-        gripper: Server of the gripper, or None.
+        gripper: The gripper, or None.
         off: Callback for a shutdown through the dashboard.
         programs: Texts of its program files, by path.
 
@@ -138,7 +138,7 @@ class ArmServer:
         hub: Hub,
         controller: Controller,
         host: str,
-        gripper: RobotiqGripper | None,
+        gripper: EmulatedGripper | None,
         off: Callable[[], None],
         programs: Mapping[str, str] | None = None,
     ) -> None:
@@ -199,9 +199,11 @@ class ArmServer:
         except (struct.error, TypeError, ValueError, OverflowError) as error:
             raise SettingsError(f"clients cannot be sent {dict(values)!r}: {error}") from error
 
-    def _listen(self, name: str, gripper: RobotiqGripper | None) -> None:
+    def _listen(self, name: str, gripper: EmulatedGripper | None) -> None:
+        numbers = {**PORTS, "gripper": None if gripper is None else gripper.port}
+
         def add(which: str, accept: Callable[[], object], greeting: Callable[[], bytes] = bytes) -> None:
-            port = self._hub.add(f"{name} {which}", (self.host, PORTS[which]), accept, greeting)  # type: ignore[arg-type]  # the peers of these ports
+            port = self._hub.add(f"{name} {which}", (self.host, numbers[which]), accept, greeting)  # type: ignore[arg-type]  # the peers of these ports
             self.ports[which] = port
 
         add("dashboard", lambda: DashboardPeer(Dashboard(self.shown, self.pendant)), lambda: f"{GREETING}\n".encode())
@@ -209,7 +211,7 @@ class ArmServer:
             add(which, lambda: ScriptPeer(self._take_script), lambda: version_message(self.shown))
         add("realtime", lambda: ScriptPeer(self._take_script))
         add("rtde", lambda: RtdePeer(self._rtde.open()))
-        if gripper is not None:
+        if gripper is not None and gripper.port is not None:
             # The gripper's answers bring their own ends.
             add("gripper", lambda: LinePeer(gripper.answer, end=""))
 

@@ -80,6 +80,7 @@ class CellWorld:
         self._dofs = [arm * joints + np.arange(6) for arm in range(2)]
         self._elapsed = np.zeros(1)
         self._state: CellState = self._physics.state(self._elapsed, moved=False)
+        self._held_m = np.zeros(2) if self._state.gripper_m is None else self._state.gripper_m[0].copy()
 
     @property
     def failed(self) -> bool:
@@ -120,7 +121,8 @@ class CellWorld:
         if self.config.equipment.grippers:
             # The measured width of open fingers may be slightly above the maximum.
             most = strokes_m(self.config.equipment.tools)
-            grippers = np.array([[[min(max(each or 0.0, 0.0), m) for each, m in zip(widths_m, most, strict=True)]]])
+            wanted_m = [held if each is None else each for each, held in zip(widths_m, self._held_m, strict=True)]
+            grippers = np.array([[[min(max(each, 0.0), m) for each, m in zip(wanted_m, most, strict=True)]]])
             # The arm model includes the gripper's mass.
             payload = np.array([payloads_kg]) - self.gripper_kg
         wanted = [None if each is None else Torques(each.torque_nm, 1.0 - each.coulomb_scale) for each in torques]

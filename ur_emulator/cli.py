@@ -86,8 +86,8 @@ def emulate(
         typer.Option(
             "--cell",
             metavar="FILE",
-            help="Cell file of a real cell: its two controllers here, with its models, mounts, serial numbers and the "
-            "scene of its task.",
+            help="Cell file of a real cell: its two controllers here, with its models, mounts, grippers, serial "
+            "numbers and the scene of its task.",
         ),
     ] = None,
     polyscope: Polyscope = None,
@@ -145,7 +145,7 @@ def by_themselves(
 
 
 def of_cell(path: Path, hosts: Sequence[str], seed: int, options: dict[str, Any]) -> Emulator:
-    """Return emulated controllers in place of the two of a real cell, with its mounts, models and serial numbers.
+    """Return emulated controllers in place of the two of a real cell: models, mounts, grippers and serial numbers.
 
     Args:
         path: Cell file.
@@ -167,7 +167,7 @@ def of_cell(path: Path, hosts: Sequence[str], seed: int, options: dict[str, Any]
         )
     left, right = hosts
     chosen = EmulatorOptions(left=left, right=right, task=file.task, seed=seed, **options)
-    emulator = Emulator(chosen, config=file.simulated())
+    emulator = Emulator(chosen, config=file.simulated(), grippers=[arm.gripper for arm in file.arms])
     for server, arm in zip(emulator.servers, file.arms, strict=True):
         if arm.serial_number is not None:
             server.pretend(dataclasses.replace(server.shown, serial_number=arm.serial_number), server.kinematics)

@@ -12,6 +12,7 @@ import threading
 import tomllib
 from collections import deque
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -24,6 +25,7 @@ from dual_ur10.ids import env_id_of
 from dual_ur10.kinematics.robots import robot_model
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import CellConfig
+from dual_ur10.sim2real.config.cell_file_tables import Gripper, NoGripper
 from dual_ur10.sim2real.config.cell_file_text import toml_text
 from dual_ur10.sim2real.control.servoj import ServojProfile
 from dual_ur10.sim2real.processes.system import LOCAL, System
@@ -34,9 +36,9 @@ from ur_emulator.arm_server import ArmServer, LinePeer
 from ur_emulator.builtins import builtins_of
 from ur_emulator.controller import Controller
 from ur_emulator.fault_injection import FaultInjection
+from ur_emulator.grippers import entry_of, gripper_of
 from ur_emulator.profile import profile_for, profile_of, profile_of_version
 from ur_emulator.program_files import script_texts
-from ur_emulator.robotiq import RobotiqGripper
 from ur_emulator.sockets import Hub
 from ur_emulator.world import PlantOptions, SimulatedWorld
 
@@ -63,12 +65,14 @@ class EmulatorOptions:
 
     Attributes:
         alone: True for one controller instead of two: its arm stands by itself. `left` is its address, and `right`,
-            `task`, `family` and `cell` cannot be set.
+            `task`, `family`, `tools` and `cell` cannot be set.
         left, right: Loopback addresses; None finds free ones.
         family: Family of both controllers; None: that of `robot`.
         robot: Model of both arms, or of the left and the right one; None: a UR10, or a UR10e of the e-Series.
         polyscope: PolyScope version of both controllers, a key of `POLYSCOPES`; None: the tested one of the family.
         task: Id or name of the environment whose scene is simulated; None: two arms on a table, of any model.
+        tools: Tool of both arms, or of the left and the right one, by name or as "module:NAME", driven by the first
+            of its `drivers`; None: those of the task.
         plant: Deviation of the plant from its nominal model; see `PlantOptions`.
         seed: Seed of the sampled plant, the start of a task's episode, and random faults.
         dh_error_m: Largest error of the arms' kinematics, m.
@@ -90,6 +94,7 @@ class EmulatorOptions:
     robot: str | Sequence[str] | None = None
     polyscope: str | None = None
     task: str | None = None
+    tools: str | Sequence[str] | None = None
     plant: str = "mild"
     seed: int = 0
     dh_error_m: float = 0.0
@@ -120,6 +125,7 @@ class Emulator:
     Args:
         options: Options of the cell, or of one controller.
         config: Cell of both arms; None: that of the arms that the options name.
+        grippers: Entries of a cell file for the grippers of both arms; None: those of the cell's tools.
         hub: Sockets that emulators share which take turns; None: its own.
         system: Clock and network.
 
@@ -133,12 +139,14 @@ class Emulator:
         options: EmulatorOptions,
         *,
         config: CellConfig | None = None,
+        grippers: Sequence[Gripper] | None = None,
         hub: Hub | None = None,
         system: System = LOCAL,
     ) -> None:
         self._system, self._clock = system, system.clock
         self.options = options
         self.world: SimulatedWorld = _world_of(options, config)
+        self._grippers = _grippers_of(options, self.world, grippers)
         self.tick_s = self.world.tick_s
         self._period_s = self.tick_s * (1.0 + 1e-6 * options.drift_ppm)
         self.due_s = self._clock.now_s()
@@ -173,8 +181,7 @@ class Emulator:
                     boot_s=BOOT_S[arm],
                     system=system,
                 )
-                tool = self.world.tools[arm]
-                gripper = None if tool is None else RobotiqGripper(tool)
+                gripper = gripper_of(self._grippers[arm], partial(getattr, controller.io, "outputs"))
                 self.servers.append(ArmServer(self._hub, controller, hosts[arm], gripper, self._off, programs))
             self._port = self._hub.add("fault injection", (hosts[0], 0), lambda: LinePeer(self._injection.answer))
             if options.view:
@@ -203,9 +210,11 @@ class Emulator:
                 "base_position_m": list(mount.position_m),
                 "base_yaw_rad": mount.yaw_rad,
                 **_serial_number(server.controller),
-                **({"gripper": {"kind": "robotiq"}} if server.gripper is not None else {}),
+                **({"gripper": entry.mapping()} if server.gripper is not None else {}),
             }
-            for name, server, mount in zip(self.world.names, self.servers, self.world.mounts, strict=True)
+            for name, server, mount, entry in zip(
+                self.world.names, self.servers, self.world.mounts, self._grippers, strict=True
+            )
         }
         task = {} if self.options.task is None else {"task": env_id_of(self.options.task)}
         return {
@@ -324,7 +333,7 @@ def _world_of(options: EmulatorOptions, config: CellConfig | None) -> SimulatedW
         return CellWorld(cell_of(options) if config is None else config, options.task, plant)
     from ur_emulator.lone_arm import LoneArm
 
-    for name in ("right", "task", "family", "cell"):
+    for name in ("right", "task", "family", "tools", "cell"):
         if getattr(options, name) is not None:
             raise SettingsError(f"a controller by itself has no {name!r}: leave it out, or emulate a cell")
     if not isinstance(options.robot, str):
@@ -336,32 +345,53 @@ def cell_of(options: EmulatorOptions) -> CellConfig:
     """Return the cell of the arms that options name.
 
     Raises:
-        SettingsError: Or one of its kinds: there is no such model, family or version, or they do not fit.
+        UnknownNameError: There is no such model or tool.
+        SettingsError: Or one of its kinds: there is no such family or version, or they do not fit.
     """
-    family, robots = options.family, _both(options.robot)
+    family, robots = options.family, _both("robot", options.robot, "ur5e")
+    tools: Any = _both("tools", options.tools, "robotiq_2f85")
     if robots is None:
         if family is None and options.polyscope is not None:
             family = profile_of_version(options.polyscope).family
-        return CellConfig(servoj=ServojProfile(profile_of(family or "cb3").family))
+        return CellConfig(servoj=ServojProfile(profile_of(family or "cb3").family), tools=tools)
+    for each in robots:
+        robot_model(each)
     left, right = (default_mount(arm, robot) for arm, robot in enumerate(robots))
     if family is None:
-        return CellConfig(left=left, right=right)
-    return CellConfig(left=left, right=right, servoj=ServojProfile(profile_of(family).family))
+        return CellConfig(left=left, right=right, tools=tools)
+    return CellConfig(left=left, right=right, servoj=ServojProfile(profile_of(family).family), tools=tools)
 
 
-def _both(robot: str | Sequence[str] | None) -> Sequence[str] | None:
-    """Return the models of both arms; None: those of the family.
+def _both(name: str, value: str | Sequence[str] | None, example: str) -> Sequence[str] | None:
+    """Return an option for both arms; None: it is not given.
 
     Raises:
-        UnknownNameError: There is no such model.
         SettingsError: There are not two.
     """
-    robots = [robot] * len(ARMS) if isinstance(robot, str) else robot
-    if robots is not None and (not isinstance(robots, tuple | list) or len(robots) != len(ARMS)):
-        raise SettingsError(f"robot is {robot!r}: name one model, or one for each arm, such as 'ur5e'")
-    for each in robots or ():
-        robot_model(each)
-    return robots
+    both = [value] * len(ARMS) if isinstance(value, str) else value
+    if both is not None and (not isinstance(both, tuple | list) or len(both) != len(ARMS)):
+        raise SettingsError(f"{name} is {value!r}: name one, or one for each arm, such as {example!r}")
+    return both
+
+
+def _grippers_of(
+    options: EmulatorOptions, world: SimulatedWorld, entries: Sequence[Gripper] | None
+) -> Sequence[Gripper]:
+    """Return the entry of a cell file for the gripper of each arm.
+
+    Raises:
+        SettingsError: Options name tools, and the scene has no grippers; or nothing drives a tool.
+    """
+    named = _both("tools", options.tools, "")
+    if named is not None and None in world.tools:
+        raise SettingsError(
+            f"tools is {options.tools!r}, and this scene has no grippers: name a task that has, such as Handover"
+        )
+    names = [None if tool is None else tool.name for tool in world.tools] if named is None else named
+    return [
+        NoGripper() if tool is None or name is None else entries[arm] if entries else entry_of(name, tool)
+        for arm, (name, tool) in enumerate(zip(names, world.tools, strict=True))
+    ]
 
 
 def _serial_number(controller: Controller) -> dict[str, str]:
@@ -371,7 +401,7 @@ def _serial_number(controller: Controller) -> dict[str, str]:
 
 
 def _gripper_width(server: ArmServer, tick_s: float, width_m: float | None) -> float | None:
-    """Return the width that the gripper's server commands. The gripper has the arm's power."""
+    """Return the width that the gripper commands, if there is one. It has the arm's power."""
     gripper = server.gripper
     if gripper is None or width_m is None:
         return None

@@ -1,4 +1,4 @@
-r"""Emulated Robotiq 2F-85 with its URCap's server on port 63352: text commands for the registers of the gripper.
+r"""Emulated Robotiq gripper with its URCap's server on port 63352: text commands for the registers of the gripper.
 
     SET ACT 1 GTO 1 POS 255 SPE 255 FOR 100  ->  ack
     GET POS                                  ->  POS 3
@@ -14,6 +14,7 @@ from typing import Final
 
 from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85
 from dual_ur10.assets.tool import Tool
+from ur_emulator.addresses import PORTS
 
 ACTIVATION_S: Final = 1.0
 """Shortest activation. Assumption: the real gripper opens and closes fully, this one only opens."""
@@ -30,7 +31,7 @@ REACHED_M: Final = 0.001
 LATENCY_S: Final = 0.1
 """Time from a command to the first motion of the fingers, as in the simulated gripper."""
 
-_LAG_S: Final = 0.02
+LAG_S: Final = 0.02
 """Lead of the reference over moving fingers, as a time: more than the servo's own lag."""
 
 _FLAGS: Final = ("ACT", "GTO", "ATR", "ARD")
@@ -51,14 +52,18 @@ class RobotiqGripper:
         tool: Its figures: the width at POS 0, 0 at POS 255; speeds of SPE, forces of FOR; and the stiffness of the
             position servo behind `tick`, which converts a grip force to a difference of commanded and measured width.
         latency_s: Latency of that servo.
+        port: TCP port of its server.
 
     Attributes:
         powered: Whether the tool has power. Without it every answer is "?", and the gripper needs a new activation
             afterwards.
     """
 
-    def __init__(self, tool: Tool = ROBOTIQ_2F85, *, latency_s: float = LATENCY_S) -> None:
+    def __init__(
+        self, tool: Tool = ROBOTIQ_2F85, *, latency_s: float = LATENCY_S, port: int = PORTS["gripper"]
+    ) -> None:
         self.tool, self.latency_s = tool, latency_s
+        self.port: int | None = port
         self.stroke_m, self.stiffness_n_m = tool.stroke_m, tool.servo_kp
         self.powered = True
         self._set = {"ACT": 0, "GTO": 0, "ATR": 0, "ARD": 0, "POS": 0, "SPE": 255, "FOR": 255, "SID": 9}
@@ -153,10 +158,8 @@ class RobotiqGripper:
             if (passed_m if self._object == STOPPED_OPENING else -passed_m) > REACHED_M:
                 self._start()  # the obstacle is gone
         press_m = self.force_n / self.stiffness_n_m
-        ahead_m = press_m + ((_LAG_S + self.latency_s) * rate_m_s if self._stopped_at_m is None else 0.0)
-        step_m = rate_m_s * dt_s
-        reference_m = self._reference_m + min(max(goal_m - self._reference_m, -step_m), step_m)
-        reference_m = min(max(reference_m, measured_m - ahead_m), measured_m + ahead_m)
+        ahead_m = press_m + ((LAG_S + self.latency_s) * rate_m_s if self._stopped_at_m is None else 0.0)
+        reference_m = approached(self._reference_m, goal_m, rate_m_s * dt_s, measured_m, ahead_m)
         self._reference_m = min(max(reference_m, 0.0), self.stroke_m)
         if self._object != MOVING:
             return
@@ -218,6 +221,12 @@ class RobotiqGripper:
         self._set.update(ACT=0, GTO=0, ATR=0, POS=0)
         self._active, self._activating_s, self._fault = False, None, NO_FAULT
         self._start()
+
+
+def approached(reference_m: float, goal_m: float, step_m: float, measured_m: float, ahead_m: float) -> float:
+    """Return a reference a step nearer to its goal, and at most so far ahead of the measured width."""
+    nearer_m = reference_m + min(max(goal_m - reference_m, -step_m), step_m)
+    return min(max(nearer_m, measured_m - ahead_m), measured_m + ahead_m)
 
 
 def _value(name: str, text: str) -> int | None:

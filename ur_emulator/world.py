@@ -106,7 +106,7 @@ class SimulatedWorld(Protocol):
 
         Args:
             plans: Per arm (substeps, 3, 6): position before, speed after and acceleration in every physics step.
-            widths_m: Commanded gripper width of each arm.
+            widths_m: Commanded gripper width of each arm; None: as at the start.
             payloads_kg: Payload mass as set on each controller.
             torques: Torques of each arm, in place of its plan; None in position control. The controllers know the
                 friction of their joints.

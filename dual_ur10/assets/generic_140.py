@@ -1,6 +1,7 @@
 """A generic parallel gripper, longer and wider than a Robotiq 2F-85: 140 mm stroke, 0.2 m to the tool centre point.
 
-No product: its figures are plausible ones of its class. It shows that a gripper is data.
+No product: its figures are plausible ones of its class, and it answers the protocol of Robotiq's URCap, or follows a
+digital output. It shows that a gripper is data.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dual_ur10.assets.tool import Tool
 GENERIC_140: Final = Tool(
     name="generic_140",
     title="generic parallel gripper, 140 mm stroke",
-    drivers=("digital_output",),
+    drivers=("robotiq", "digital_output"),
     tcp_m=0.2,
     stroke_m=0.14,
     speed_m_s=(0.02, 0.2),

@@ -214,8 +214,8 @@ def _check_figures(model: Any, tool: Tool) -> None:
         if np.abs(site.xpos - wanted).max() > _NEAR or np.abs(site.xmat - np.eye(3).ravel()).max() > _NEAR:
             x, y, z = site.xpos.tolist()
             raise SettingsError(
-                f"site {name!r} in the mjcf of the tool {tool.name!r} is at ({x:.4g}, {y:.4g}, {z:.4g}) m: it must be at "
-                f"(0, 0, {wanted[2]:g}) with the flange's axes, as tcp_m says; put it there, or correct tcp_m"
+                f"site {name!r} in the mjcf of the tool {tool.name!r} is at ({x:.4g}, {y:.4g}, {z:.4g}) m: it must be "
+                f"at (0, 0, {wanted[2]:g}) with the flange's axes, as tcp_m says; put it there, or correct tcp_m"
             )
     found = {
         "stroke_m": model.actuator("gripper").ctrlrange[1],

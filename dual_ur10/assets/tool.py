@@ -11,7 +11,7 @@ import importlib.metadata
 import math
 import re
 from dataclasses import dataclass, fields
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -28,7 +28,7 @@ _OWN: Final = {
 }
 _LEAST_M, _LARGEST_M = 1e-5, 1.0
 _SIZES: Final = {"speed_m_s": 2, "force_n": 2, "palm_size_m": 2, "pad_m": 3}
-_DRIVERS: Final = r"[a-z_]{1,40}|[A-Za-z_][\w.]{0,150}:[A-Za-z_]\w{0,40}"
+_DRIVERS: Final = "[a-z_]{1,40}|[A-Za-z_][A-Za-z0-9_.]{0,150}:[A-Za-z_][A-Za-z0-9_]{0,40}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,8 +41,8 @@ class Tool:
     Attributes:
         name: Name in cell files, records and messages.
         title: Name for people.
-        drivers: Kinds of gripper in a cell file that can drive it, and drivers of one's own, "module:Class". An emulated
-            cell has the first.
+        drivers: Kinds of gripper in a cell file that can drive it, and drivers of one's own, "module:Class". Emulated
+            cells have the first.
         tcp_m: Flange to tool centre point, the middle of the pads, along z.
         stroke_m: Largest distance of the pads; 0 is closed.
         speed_m_s: (2,) least and largest speed of the opening.
@@ -108,7 +108,8 @@ class Tool:
                     f"{each.name} of the tool {self.name!r} is {value!r:.80}: it must be {_SIZES[each.name]} numbers"
                 )
             else:
-                for number in value if each.name in _SIZES else (value,):
+                numbers: tuple[object, ...] = value if isinstance(value, tuple) and each.name in _SIZES else (value,)
+                for number in numbers:
                     self._check(each.name, number)
         for name in ("speed_m_s", "force_n"):
             least, most = getattr(self, name)
@@ -129,9 +130,9 @@ class Tool:
                 f"is {self.finger_thick_m:g}, and must be more"
             )
 
-    def _check_drivers(self, drivers: object) -> None:
-        known = isinstance(drivers, tuple) and all(isinstance(each, str) for each in drivers)
-        if not (known and drivers and all(re.fullmatch(_DRIVERS, each) for each in drivers)):
+    def _check_drivers(self, drivers: Any) -> None:
+        known = isinstance(drivers, tuple) and len(drivers) > 0
+        if not (known and all(isinstance(each, str) and re.fullmatch(_DRIVERS, each) for each in drivers)):
             raise SettingsError(
                 f"drivers of the tool {self.name!r} is {drivers!r:.80}: it must be a tuple of at least one kind, such "
                 'as "robotiq", or driver of your own, "module:Class"'

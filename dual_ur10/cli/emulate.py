@@ -31,6 +31,14 @@ def emulate(
             "with nothing to handle.",
         ),
     ] = None,
+    tool: Annotated[
+        str | None,
+        typer.Option(
+            "--tool",
+            help="Gripper of both arms, such as generic_140, or of left and right: generic_140,robotiq_2f85; "
+            "module:NAME for one of your own. Default: those of the task.",
+        ),
+    ] = None,
     cell: Annotated[
         str | None,
         typer.Option("--cell", help="Write a cell file, for programs that connect."),
@@ -50,9 +58,10 @@ def emulate(
         left=left,
         right=right,
         family=family,
-        robot=None if robot is None else robot if "," not in robot else robot.split(","),
+        robot=_of_each(robot),
         polyscope=polyscope,
         task=task,
+        tools=_of_each(tool),
         plant=plant,
         seed=seed,
         dh_error_m=dh_error / 1e3,
@@ -64,3 +73,7 @@ def emulate(
     emulator = Emulator(options)
     hosts = [server.host for server in emulator.servers]
     serve([emulator], title=f"left  [bold cyan]{hosts[0]}[/]\nright [bold cyan]{hosts[1]}[/]\n")
+
+
+def _of_each(value: str | None) -> str | list[str] | None:
+    return value.split(",") if value is not None and "," in value else value

@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 from dual_ur10.assets.settings import default_mount, home_q_rad
 from dual_ur10.cli import main as cli
+from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics.robots import ROBOTS
 from dual_ur10.sim2real.links.rtde_link import RtdeLink
 from dual_ur10.sim2real.processes.system import LOCAL
@@ -146,6 +147,57 @@ def lab(tmp_path):
     cell["right"]["base_position_m"] = [-0.5, -0.61, 0.02]
     path.write_text(tomlkit.dumps(cell))
     return path
+
+
+@pytest.fixture
+def gripped(lab):
+    """Return the file with a gripper at an output on the right."""
+    cell = tomlkit.parse(lab.read_text())
+    cell["task"] = "DualUR10/Handover-v0"
+    cell["left"]["gripper"] = {"kind": "robotiq", "port": 63353}
+    cell["right"]["gripper"] = {"kind": "digital_output", "output": 5, "open_level": True, "tool": "generic_140"}
+    lab.write_text(tomlkit.dumps(cell))
+    return lab
+
+
+def test_a_cell_file_names_its_grippers(gripped):
+    emulator = of_cell(gripped, [free_address(), free_address()], 0, {"plant": "nominal"})
+    try:
+        left, right = emulator.servers
+        assert left.ports["gripper"].number == 63353
+        assert "gripper" not in right.ports
+        assert [tool.name for tool in emulator.world.tools] == ["robotiq_2f85", "generic_140"]
+        for level, width_m in ((1, 0.14), (0, 0.0), (1, 0.14)):
+            right.controller.io.outputs = level << 5
+            for _ in range(600):
+                emulator.tick()
+            assert emulator.world.read(1).gripper_m == pytest.approx(width_m, abs=1e-3)
+        right.controller.io.outputs = 0
+        right.gripper.powered = False
+        assert right.gripper.tick(0.002, 0.14) == pytest.approx(0.14, abs=1e-3)  # it keeps its hold
+        assert emulator.world.read(0).gripper_m == pytest.approx(0.085, abs=1e-3)  # nobody moved the other
+    finally:
+        emulator.close()
+
+
+@pytest.mark.parametrize("driver", ["", "x:Y"])
+def test_an_arm_without_an_emulated_gripper(gripped, driver):
+    """Fingers of a flange that the file leaves bare stay; a driver of one's own must name its emulated gripper."""
+    cell = tomlkit.parse(gripped.read_text())
+    own = {"kind": "own", "driver": "dual_ur10.sim2real.peripherals.gripper_link:GripperLink", "tool": "generic_140"}
+    cell["right"]["gripper"] = own if driver else {"kind": "none"}
+    gripped.write_text(tomlkit.dumps(cell))
+    if driver:
+        with pytest.raises(SettingsError, match="GripperLink names no emulated gripper"):
+            of_cell(gripped, [free_address(), free_address()], 0, {"plant": "nominal"})
+        return
+    emulator = of_cell(gripped, [free_address(), free_address()], 0, {"plant": "nominal"})
+    try:
+        for _ in range(200):
+            emulator.tick()
+        assert emulator.world.read(1).gripper_m == pytest.approx(0.085, abs=1e-3)
+    finally:
+        emulator.close()
 
 
 def test_a_cell_file_names_both_controllers(lab):

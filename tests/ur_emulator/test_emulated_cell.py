@@ -1,5 +1,6 @@
 """Process of an emulated cell: start, refused options, and its end in all cases."""
 
+import dataclasses
 import os
 import re
 import signal
@@ -14,8 +15,10 @@ import psutil
 import pytest
 from typer.testing import CliRunner
 
+from dual_ur10.assets.generic_140 import GENERIC_140
 from dual_ur10.cli import main as cli
 from dual_ur10.errors import AddressError, ClosedError, DualUR10Error, EmulatorError, SettingsError, UnknownNameError
+from dual_ur10.sim2real.config.cell_file import load_cell_file
 from tests.ur_emulator.ticking import Cell
 from ur_emulator import emulated_cell
 from ur_emulator.addresses import free_address, is_free
@@ -143,9 +146,16 @@ def test_two_cells_at_once_are_apart(tmp_path):
         assert second.ask("state", arm="left", names=["safety_mode"])["safety_mode"] == 1
 
 
+STRANGE = dataclasses.replace(GENERIC_140, name="strange", drivers=("steam",))
+
+
 @pytest.mark.parametrize(
     ("options", "kind", "text"),
     [
+        ({"tools": "generic_140"}, SettingsError, "this scene has no grippers: name a task that has"),
+        ({"tools": ["generic_140"], "task": "Handover"}, SettingsError, "name one, or one for each arm"),
+        ({"tools": "robotiq", "task": "Handover"}, UnknownNameError, "did you mean 'robotiq_2f85'"),
+        ({"tools": f"{__name__}:STRANGE", "task": "Handover"}, SettingsError, "driven by 'steam', and no cell file"),
         ({"right": "192.168.0.1"}, AddressError, "127.0.0.0/8"),
         ({"left": "127.0.0.9", "right": "127.0.0.9"}, AddressError, "both arms"),
         ({"family": "g-series"}, UnknownNameError, "'e-series'"),
@@ -191,14 +201,16 @@ def test_a_taken_address_is_named():
 
 def test_the_cell_file_describes_the_cell(tmp_path):
     path = tmp_path / "cell.toml"
-    cell = Cell(cell=str(path), family="e-series", task="Handover")
+    cell = Cell(cell=str(path), family="e-series", task="Handover", tools=("generic_140", "robotiq_2f85"))
     try:
         found = tomllib.loads(path.read_text())
         assert found == cell.emulator.description()
         assert found["kind"] == "emulated"
         assert [found[arm]["host"] for arm in ("left", "right")] == [each.host for each in cell.emulator.servers]
         assert found["left"]["family"] == "e-series"
-        assert found["left"]["gripper"] == {"kind": "robotiq"}
+        tools = [(found[arm]["gripper"]["kind"], found[arm]["gripper"]["tool"]) for arm in ("left", "right")]
+        assert tools == [("robotiq", "generic_140"), ("robotiq", "robotiq_2f85")]
+        assert load_cell_file(path).config().tools == cell.emulator.world.tools
         assert found["emulator"]["pid"] == os.getpid()
         with socket.create_connection((found["left"]["host"], found["emulator"]["port"]), timeout=2.0):
             pass

@@ -155,6 +155,7 @@ def test_a_controller_by_itself_takes_programs_and_requests_without_an_arm():
         ({"robot": "ur5e", "polyscope": "3.15"}, SettingsError, "does not run on a UR5e"),
         ({"robot": "ur5e", "task": "Handover"}, SettingsError, "no 'task'"),
         ({"robot": "ur5e", "right": "127.0.0.2"}, SettingsError, "no 'right'"),
+        ({"robot": "ur5e", "tools": "generic_140"}, SettingsError, "no 'tools'"),
     ],
 )
 def test_options_that_do_not_fit_are_named(options, kind, text):

@@ -145,3 +145,20 @@ def test_a_policy_is_checked_on_it():
     assert report.cell_success
     assert report.cell_steps == report.steps == 25
     assert report.late == 0
+
+
+def test_a_handover_between_different_tools():
+    """Simulation, safety gate, policy, drivers and emulated grippers have the same figures of both."""
+    env_id = "DualUR10/Handover-v0"
+    with VirtualCell(task="Handover", plant="nominal", tools=("generic_140", "robotiq_2f85")) as cell:
+        assert [each.gripper.tool for each in cell.file.arms] == ["generic_140", "robotiq_2f85"]
+        policy = load("scripted", env_id, cell=cell)
+        with gym.make(env_id, cell=cell, disable_env_checker=True) as env:
+            observation, _ = env.reset(seed=0)
+            opened = env.unwrapped.core.task.layout.split(observation)["gripper_m"][:, 0]
+            np.testing.assert_allclose(opened, [0.14, 0.085], atol=2e-3)
+            ended = False
+            while not ended:
+                observation, _, terminated, truncated, info = env.step(policy(observation))
+                ended = terminated or truncated
+        assert info["is_success"]

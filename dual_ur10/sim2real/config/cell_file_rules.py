@@ -149,7 +149,8 @@ def _tool(name: str, arm: ArmEntry) -> Iterator[str]:
     except (SettingsError, UnknownNameError) as error:
         yield f"{name}.gripper.tool: {error}"
         return
-    if arm.gripper.kind not in tool.drivers:
+    # A driver of one's own states itself what it drives, once it is loaded.
+    if arm.gripper.kind not in (*tool.drivers, "own"):
         yield (
             f"{name}.gripper.kind is {arm.gripper.kind!r}, which cannot drive the tool {tool.name!r}: use "
             f"{' or '.join(map(repr, tool.drivers))}, or name the tool at the flange"

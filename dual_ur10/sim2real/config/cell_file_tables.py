@@ -115,21 +115,27 @@ def _text(allowed: str, **constraints: Any) -> Any:
 Name = Annotated[str, _text("up to 64 letters, digits, _ and -, in quotes", pattern=f"^{obstacles.NAME}$")]
 Serial = Annotated[str, _text("up to 32 letters, digits and hyphens, in quotes", pattern="^[A-Za-z0-9-]{1,32}$")]
 Address = Annotated[str, AfterValidator(_checked_address), _text("an IPv4 address; names are not looked up")]
+_MEMBER: Final = "[A-Za-z_][A-Za-z0-9_.]{0,150}:[A-Za-z_][A-Za-z0-9_]{0,40}"
 ToolName = Annotated[
-    str, _text("the name of a tool: up to 64 letters, digits, _ and -, in quotes", pattern="^[A-Za-z0-9_-]{1,64}$")
+    str,
+    _text(
+        "the name of a tool, or module:NAME, in quotes",
+        pattern=f"^([A-Za-z0-9_-]{{1,64}}|{_MEMBER})$",
+    ),
 ]
 Day = Annotated[str, _text("a day such as 2026-01-31, in quotes", pattern=r"^\d{4}-\d{2}-\d{2}$")]
 FileName = Annotated[str, _text("a file name of up to 200 characters, in quotes", pattern=r"^[^\x00-\x1f\x7f]{1,200}$")]
 Model = Annotated[str, AfterValidator(_checked_model), _text("one of " + ", ".join(f'"{each}"' for each in ROBOTS))]
 Task = Annotated[str, AfterValidator(_checked_id), _text("the id of an environment")]
-ClassName = Annotated[str, _text("module:Class, in quotes", pattern=r"^[A-Za-z_][\w.]{0,150}:[A-Za-z_]\w{0,40}$")]
+ClassName = Annotated[str, _text("module:Class, in quotes", pattern=f"^{_MEMBER}$")]
 _OPTION: Final = "[a-z_]{1,30}=[!-~]{0,99}"
 Options = Annotated[
     str, _text("NAME=VALUE, separated by spaces, in quotes", pattern=f"^(|{_OPTION}( {_OPTION}){{0,9}})$")
 ]
 
 
-def _keywords(options: str) -> dict[str, Any]:
+def keywords_of(options: str) -> dict[str, Any]:
+    """Return options of a class of one's own as keywords: numbers and truth values as such, all others as text."""
     found: dict[str, Any] = {}
     for each in options.split():
         name, _, text = each.partition("=")
@@ -163,7 +169,12 @@ def _without_nothing(values: Mapping[str, Any]) -> dict[str, Any]:
     return kept
 
 
-_TOOL: Final = "tool at the flange: robotiq_2f85, generic_140, or one that an installed package names"
+_TOOL: Final = (
+    "tool at the flange: robotiq_2f85, generic_140, one that an installed package names, or module:NAME of your own"
+)
+
+
+_OPTIONS: Final = "further arguments of the class"
 
 
 class NoGripper(Table):
@@ -195,12 +206,22 @@ class DigitalGripper(Table):
     tool: ToolName = key(_TOOL, ROBOTIQ_2F85.name)
 
 
+class OwnGripper(Table):
+    """Gripper with a driver of your own: a subclass of `GripperLink`, made with a `GripperRequest` and the options."""
+
+    kind: Literal["own"] = "own"
+    driver: ClassName = key("class of the driver", example="my_lab.gripper:SlimLink")
+    tool: ToolName = key(_TOOL, example="my_lab.gripper:SLIM")
+    options: Options = key(_OPTIONS, "")
+
+
 def _with_kind(value: Any) -> Any:
     return {"kind": "none", **value} if isinstance(value, Mapping) else value
 
 
 Gripper = Annotated[
-    Annotated[NoGripper | RobotiqSocket | DigitalGripper, Field(discriminator="kind")], BeforeValidator(_with_kind)
+    Annotated[NoGripper | RobotiqSocket | DigitalGripper | OwnGripper, Field(discriminator="kind")],
+    BeforeValidator(_with_kind),
 ]
 
 
@@ -423,12 +444,7 @@ class OwnTrackerEntry(_TrackerEntry):
 
     kind: Literal["own"] = "own"
     tracker: ClassName = key("class of the tracker", example="my_lab.camera:Camera")
-    options: Options = key("further arguments of the class", "")
-
-    @property
-    def keywords(self) -> dict[str, Any]:
-        """The options as keyword arguments: numbers and truth values as such, all others as text."""
-        return _keywords(self.options)
+    options: Options = key(_OPTIONS, "")
 
 
 MAX_TRACKERS: Final = 20

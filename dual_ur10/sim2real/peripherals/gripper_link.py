@@ -7,11 +7,14 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from typing import Final, NamedTuple
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import ClassVar, Final, NamedTuple, TypeVar
 
 from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85
 from dual_ur10.assets.tool import Tool
-from dual_ur10.errors import SettingsError
+from dual_ur10.errors import DualUR10Error, LinkError, SettingsError
 from dual_ur10.sim2real.links.link_socket import LinkSocket, SocketClient, check_timeout
 from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.types import Closing
@@ -44,6 +47,12 @@ FAULTS: Final = {
 """Meaning of the lower four bits of FLT: Robotiq's manual of the 2F-85."""
 
 
+_FIGURES: Final = ("stroke_m", "speed_m_s", "force_n")
+_SLACK: Final = 0.15  # of the stroke, by which a measured opening may be outside of it
+
+T = TypeVar("T")
+
+
 class GripperReading(NamedTuple):
     """Reading of a gripper.
 
@@ -58,13 +67,38 @@ class GripperReading(NamedTuple):
     holding: bool | None
 
 
+@dataclass(frozen=True, kw_only=True)
+class GripperRequest:
+    """Request for the link to one gripper, from which a driver of one's own is made.
+
+    Attributes:
+        arm: Name of the arm, for messages.
+        host: IPv4 address of the arm's controller.
+        tool: The gripper.
+        force_n: Grip force.
+        system: Clock and network.
+    """
+
+    arm: str
+    host: str
+    tool: Tool
+    force_n: float
+    system: System = LOCAL
+
+
 class GripperLink(Closing):
     """Connection to one gripper. Each call takes at most `ANSWER_S`, except `activate`. Closing sends nothing.
 
     Attributes:
+        drives: Least and most of figures of the tools that it can drive, by their names: `stroke_m`, `speed_m_s` and
+            `force_n`. Other tools are refused before anything moves.
+        emulated: Emulated gripper for emulated and virtual cells, "module:Class" of an
+            `ur_emulator.grippers.EmulatedGripper`; "": there is none.
         tool: The gripper.
     """
 
+    drives: ClassVar[Mapping[str, tuple[float, float]]] = MappingProxyType({})
+    emulated: ClassVar[str] = ""
     tool: Tool = ROBOTIQ_2F85
 
     @property
@@ -111,6 +145,91 @@ class GripperLink(Closing):
         Raises:
             LinkError: It was lost, or has not become active within the time.
         """
+
+
+def check_drives(driver: type[GripperLink], tool: Tool, where: str) -> None:
+    """Check that a driver can drive a tool.
+
+    Args:
+        driver: The driver.
+        tool: The tool.
+        where: Description of both, for messages.
+
+    Raises:
+        SettingsError: It cannot, or names a figure that is none.
+    """
+    for name, (least, most) in driver.drives.items():
+        if name not in _FIGURES:
+            raise SettingsError(f"{where}: drives has {name!r}, allowed are {', '.join(_FIGURES)}")
+        found = getattr(tool, name)
+        low, high = found if isinstance(found, tuple) else (found, found)
+        if not (least <= low and high <= most):
+            has = f"{low:g}" if low == high else f"{low:g} to {high:g}"
+            raise SettingsError(
+                f"{where} drives tools with {name} of {least:g} to {most:g}, and the tool {tool.name!r} has {has}: "
+                "name the tool at the flange, or another driver"
+            )
+
+
+class CheckedGripper(GripperLink):
+    """Link of one's own, whose errors and whose readings that are none are those of a lost gripper.
+
+    Args:
+        link: The link.
+        tool: Its tool.
+        where: Description of the gripper, for messages.
+    """
+
+    def __init__(self, link: GripperLink, tool: Tool, where: str) -> None:
+        self.link, self.tool, self._where = link, tool, where
+
+    @property
+    def where(self) -> str:
+        """Arm and driver, for messages."""
+        return self._where
+
+    def read(self) -> GripperReading:
+        """See `GripperLink`."""
+        return self._call(self._read)
+
+    def _read(self) -> GripperReading:
+        found = GripperReading(*self.link.read())
+        opening_m, slack_m = found.opening_m, _SLACK * self.tool.stroke_m
+        if opening_m is not None and not -slack_m <= float(opening_m) <= self.tool.stroke_m + slack_m:
+            raise LinkError(
+                f"{self._where}: found an opening of {opening_m} m; expected are 0 to {self.tool.stroke_m:g} m, or None"
+            )
+        if not isinstance(found.fault, str):
+            raise LinkError(f"{self._where}: found the fault {found.fault!r}; expected is text, empty without a fault")
+        return found
+
+    def command(self, opening_m: float) -> bool:
+        """See `GripperLink`."""
+        return self._call(lambda: bool(self.link.command(opening_m)))
+
+    def forget(self) -> None:
+        """See `GripperLink`."""
+        self._call(self.link.forget)
+
+    def needs_activation(self) -> bool:
+        """See `GripperLink`."""
+        return self._call(lambda: bool(self.link.needs_activation()))
+
+    def activate(self, within_s: float) -> None:
+        """See `GripperLink`."""
+        self._call(lambda: self.link.activate(within_s))
+
+    def _call(self, act: Callable[[], T]) -> T:
+        try:
+            return act()
+        except DualUR10Error:
+            raise
+        except Exception as error:  # of any kind: both arms must stop
+            raise LinkError(f"{self._where}: {error!r}") from error
+
+    def close(self) -> None:
+        """Close the link. May be called twice."""
+        self.link.close()
 
 
 def counts_of(opening_m: float, stroke_m: float) -> int:

@@ -7,15 +7,22 @@ import math
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
 from dual_ur10.assets.tool import tool_named
-from dual_ur10.errors import ActionError, ClosedError, DualUR10Error, LinkError, OperationRefusedError
+from dual_ur10.errors import ActionError, ClosedError, DualUR10Error, LinkError, OperationRefusedError, SettingsError
+from dual_ur10.ids import load_object
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell_file import CellFile
-from dual_ur10.sim2real.config.cell_file_tables import ArmEntry, DigitalGripper, RobotiqSocket
+from dual_ur10.sim2real.config.cell_file_tables import ArmEntry, DigitalGripper, OwnGripper, RobotiqSocket, keywords_of
 from dual_ur10.sim2real.peripherals.digital_gripper import DigitalGripperLink
-from dual_ur10.sim2real.peripherals.gripper_link import GripperLink, RobotiqLink
+from dual_ur10.sim2real.peripherals.gripper_link import (
+    CheckedGripper,
+    GripperLink,
+    GripperRequest,
+    RobotiqLink,
+    check_drives,
+)
 from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.types import Closing
 
@@ -340,7 +347,7 @@ def link_to(arm: ArmEntry, force_n: float, name: str = "", system: System = LOCA
         system: Clock, network and threads.
 
     Raises:
-        SettingsError: The force is not legal.
+        SettingsError: The force is not legal, or a driver of one's own cannot be made, or does not fit the tool.
         LinkError: The gripper cannot be reached.
     """
     if isinstance(arm.gripper, RobotiqSocket):
@@ -348,4 +355,28 @@ def link_to(arm: ArmEntry, force_n: float, name: str = "", system: System = LOCA
         return RobotiqLink(arm.host, arm.gripper.port, force_n, name=name, system=system, tool=tool)
     if isinstance(arm.gripper, DigitalGripper):
         return DigitalGripperLink(arm.host, arm.gripper, name=name, system=system)
+    if isinstance(arm.gripper, OwnGripper):
+        request = GripperRequest(
+            arm=name, host=arm.host, tool=tool_named(arm.gripper.tool), force_n=force_n, system=system
+        )
+        return _own_link(arm.gripper, request)
     return None
+
+
+def _own_link(entry: OwnGripper, request: GripperRequest) -> GripperLink:
+    where = f"{request.arm} gripper: the driver {entry.driver}"
+    driver: Any = load_object(entry.driver, f"the driver of the {request.arm} gripper")
+    if not (isinstance(driver, type) and issubclass(driver, GripperLink)):
+        raise SettingsError(f"{where} is no subclass of {GripperLink.__qualname__}: derive it from that class")
+    check_drives(driver, request.tool, where)
+    try:
+        link: GripperLink = driver(request, **keywords_of(entry.options))  # type: ignore[call-arg]  # its own
+    except TypeError as error:
+        raise SettingsError(
+            f"{where} cannot be made of a request and the options {entry.options or '(none)'}: {error}"
+        ) from error
+    except DualUR10Error:
+        raise
+    except Exception as error:  # of any kind: it is another's code
+        raise LinkError(f"{where}: {error!r}") from error
+    return CheckedGripper(link, request.tool, where)

@@ -34,6 +34,7 @@ from dual_ur10.sim2real.config.cell_file_tables import (
     GivenTrackerEntry,
     OwnTrackerEntry,
     Tracker,
+    keywords_of,
 )
 from dual_ur10.sim2real.links.json_link import JsonLink
 from dual_ur10.sim2real.processes.system import LOCAL, System
@@ -296,7 +297,7 @@ def _tracker_of(cell_file: CellFile, prop: Prop, entry: Tracker | None, system: 
     if isinstance(entry, OwnTrackerEntry):
         tracker = load_object(entry.tracker, f"the tracker of the prop {prop.name!r}")
         try:
-            made = tracker(prop.name, **entry.keywords)
+            made = tracker(prop.name, **keywords_of(entry.options))
         except TypeError as error:
             raise SettingsError(
                 f"{cell_file.source}: the tracker {entry.tracker!r} cannot be made of the name of the prop and the "

@@ -20,6 +20,7 @@ from dual_ur10 import ENV_IDS
 from dual_ur10.assets.gains import STIFF, Gains
 from dual_ur10.assets.obstacles import Box, Capsule, Plane
 from dual_ur10.assets.props import BLOCK
+from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85
 from dual_ur10.assets.settings import Equipment, SceneSettings
 from dual_ur10.envs.api.dual_arm_env import DualArmEnv
 from dual_ur10.errors import CellFileError, DualUR10Error, SettingsError
@@ -41,6 +42,7 @@ from dual_ur10.sim2real.config.cell_file_tables import (
     NoGripper,
     OwnTrackerEntry,
     RobotiqSocket,
+    keywords_of,
 )
 from dual_ur10.sim2real.config.cell_file_text import Key, toml_text
 from dual_ur10.sim2real.config.perturbation import Perturbation
@@ -48,6 +50,8 @@ from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.control.servoj import ServojProfile
 from tests.soak import scaled
 from ur_emulator.emulator import Emulator, EmulatorOptions, write_cell_file
+
+VALVE = dataclasses.replace(ROBOTIQ_2F85, name="valve", drivers=("digital_output",))
 
 ROOT = Path(__file__).parents[3]
 DELETE = object()
@@ -124,6 +128,7 @@ def test_each_arm_has_the_tool_that_the_file_names() -> None:
     for left, right, names in (
         ({"kind": "robotiq"}, generic, ["robotiq_2f85", "generic_140"]),
         ({"kind": "none"}, generic, ["generic_140"] * 2),
+        ({"kind": "own", "driver": "a:B", "tool": f"{__name__}:VALVE"}, generic, ["valve", "generic_140"]),
         ({"kind": "none"}, {"kind": "none"}, ["robotiq_2f85"] * 2),
     ):
         config = cell_of(GOOD, left__gripper=left, right__gripper=right).config()
@@ -143,7 +148,7 @@ def test_every_key_is_read() -> None:
         left__base_tilt_rad=[0.004, -0.002],
         left__safety_checksum=0x57F4285B,
         left__gripper={"kind": "robotiq", "port": 1234},
-        right__gripper={"kind": "digital_output", "output": 16, "open_level": True},
+        right__gripper={"kind": "digital_output", "output": 16, "open_level": True, "tool": f"{__name__}:VALVE"},
         left__servoj={"lookahead_s": 0.05, "gain": 500},
         left__limits={"speed_rad_s": 1, "jerk_rad_s3": 150.0},
         left__measured={"lookahead_s": 0.031, "latency_s": 0},
@@ -183,12 +188,12 @@ def test_every_key_is_read() -> None:
     assert left.measured == Measured(lookahead_s=0.031, latency_s=0.0)
     assert cell.right.measured == Measured()
     assert left.gripper == RobotiqSocket(port=1234)
-    assert cell.right.gripper == DigitalGripper(output=16, open_level=True)
+    assert cell.right.gripper == DigitalGripper(output=16, open_level=True, tool=f"{__name__}:VALVE")
     assert cell.tracker == (
         GivenTrackerEntry(prop="bar", position_m=(0.0, 0.0, 0.1), rotation_rad=(0.0, 0.0, 1.5)),
         OwnTrackerEntry(prop="lid", tracker="my_lab.camera:Camera", options="serial=a17 rate=30"),
     )
-    assert cell.tracker[1].keywords == {"serial": "a17", "rate": 30}
+    assert keywords_of(cell.tracker[1].options) == {"serial": "a17", "rate": 30}
     assert cell.obstacles == (
         Plane(name="wall", point_m=(1.0, 0.0, 0.0), normal=(-1.0, 0.0, 0.0)),
         Box(name="box", position_m=(0.0, 1.5, 0.2), size_m=(0.1, 0.2, 0.3)),
@@ -464,10 +469,14 @@ REFUSED: list[tuple[dict[str, Any], tuple[str, ...]]] = [
     ({"left__gripper": {"kind": "robot"}}, ('left.gripper.kind is "robot"', '"robotiq"')),
     ({"left__gripper": {"kind": "digital_output"}}, ("left.gripper.output is missing", "output = 0")),
     (
-        {"left__gripper": {"kind": "robotiq", "tool": "generic_140"}},
-        ("left.gripper.kind is 'robotiq'", "cannot drive the tool 'generic_140'", "use 'digital_output'"),
+        {"left__gripper": {"kind": "robotiq", "tool": f"{__name__}:VALVE"}},
+        ("left.gripper.kind is 'robotiq'", "cannot drive the tool 'valve'", "use 'digital_output'"),
     ),
     ({"left__gripper": {"kind": "robotiq", "tool": "generic"}}, ("left.gripper.tool", "did you mean 'generic_140'")),
+    ({"left__gripper": {"kind": "robotiq", "tool": "os:sep"}}, ("left.gripper.tool", "expected is a Tool")),
+    ({"left__gripper": {"kind": "robotiq", "tool": "a b"}}, ('left.gripper.tool is "a b"', "or module:NAME")),
+    ({"left__gripper": {"kind": "own", "driver": "a:B"}}, ("left.gripper.tool is missing",)),
+    ({"left__gripper": {"kind": "own", "driver": "x.py", "tool": "generic_140"}}, ("left.gripper.driver is",)),
     ({"left__gripper": {"kind": ["none"]}}, ("left.gripper.kind is",)),
     ({"obstacle": [{"name": "b"}]}, ("obstacle[0].kind is missing", '"box" or "capsule" or "plane"')),
     ({"obstacle": [{"name": "b", "kind": "box", "size_m": [1, 1, 1]}]}, ("obstacle[0].position_m is missing",)),
@@ -864,6 +873,7 @@ def test_units_are_in_the_names() -> None:
         "arm",
         "prop",
         "tracker",
+        "driver",
         "options",
         "normal",
         "date",

@@ -1,6 +1,7 @@
 """Grippers of a cell: links, threads that delay nothing, and the loss of a gripper."""
 
 import contextlib
+import dataclasses
 
 import pytest
 from hypothesis import given
@@ -9,11 +10,12 @@ from hypothesis import strategies as st
 from dual_ur10.assets.generic_140 import GENERIC_140
 from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 from dual_ur10.errors import ActionError, ClosedError, LinkError, OperationRefusedError, SettingsError
-from dual_ur10.sim2real.config.cell_file_tables import DigitalGripper, NoGripper
+from dual_ur10.sim2real.config.cell_file_tables import DigitalGripper, NoGripper, OwnGripper
 from dual_ur10.sim2real.links.rtde_link import RtdeClient
 from dual_ur10.sim2real.peripherals.digital_gripper import OUTPUTS, DigitalGripperLink
 from dual_ur10.sim2real.peripherals.gripper_link import (
     FAULTS,
+    GripperLink,
     GripperReading,
     RobotiqLink,
     counts_of,
@@ -27,6 +29,7 @@ from tests import waiting
 from tests.sim2real.links.fake_servers import exactly, serving, until_closed
 
 HERE = "127.0.0.1"
+WEAK = dataclasses.replace(TOOL, name="weak", force_n=(5.0, 50.0))
 
 
 def yes(question):
@@ -479,6 +482,104 @@ def test_a_closed_gripper(link, clock, system):
     for act in (thread.needs_activation, thread.activate, lambda: thread.command(0.01, 0.0)):
         with pytest.raises(ClosedError):
             act()
+
+
+# A driver of one's own.
+
+
+class Own(GripperLink):
+    """Driver of a laboratory, whose answers are given."""
+
+    drives = {"stroke_m": (0.0, 0.1), "force_n": (10.0, 240.0)}  # noqa: RUF012  # as drivers state it
+    answer = GripperReading(0.03, "", None)
+    where = "never shown"
+
+    def __init__(self, request, port=80, broken=False):
+        self.request, self.port, self.calls = request, port, []
+        if broken:
+            raise OSError("no such device")
+
+    def read(self):
+        return self.answer() if callable(self.answer) else self.answer
+
+    def command(self, opening_m):
+        self.calls.append(opening_m)
+
+    def forget(self):
+        self.calls.append("forget")
+
+    def needs_activation(self):
+        return 1 / 0
+
+    def activate(self, within_s):
+        self.calls.append(within_s)
+
+    def close(self):
+        self.calls.append("close")
+
+
+class Wide(Own):
+    drives = {"width_m": (0.0, 1.0)}  # noqa: RUF012
+
+
+def own_link(file, system, driver=f"{__name__}:Own", tool="robotiq_2f85", options=""):
+    entry = OwnGripper(driver=driver, tool=tool, options=options)
+    return link_to(file.left.replace(gripper=entry), 60.0, "left", system)
+
+
+def test_a_driver_of_ones_own(file, system):
+    link = own_link(file, system, options="port=81")
+    made = link.link
+    assert (made.request.arm, made.request.host, made.request.tool, made.request.force_n, made.request.system) == (
+        "left",
+        file.left.host,
+        TOOL,
+        60.0,
+        system,
+    )
+    assert (made.port, link.tool, link.read()) == (81, TOOL, Own.answer)
+    assert link.command(0.02) is False
+    link.forget()
+    link.activate(2.0)
+    with pytest.raises(LinkError, match=r"left gripper: the driver .*:Own: ZeroDivisionError"):
+        link.needs_activation()
+    link.close()
+    assert made.calls == [0.02, "forget", 2.0, "close"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "text"),
+    [
+        ({"driver": "no_such_module:X"}, SettingsError, "the driver of the left gripper, .* cannot be imported"),
+        ({"driver": f"{__name__}:HERE"}, SettingsError, "HERE is no subclass of GripperLink"),
+        ({"driver": f"{__name__}:Wide"}, SettingsError, "drives has 'width_m', allowed are stroke_m, speed_m_s, force"),
+        ({"tool": "generic_140"}, SettingsError, "stroke_m of 0 to 0.1, and the tool 'generic_140' has 0.14: name"),
+        ({"tool": f"{__name__}:WEAK"}, SettingsError, "force_n of 10 to 240, and the tool 'weak' has 5 to 50"),
+        ({"options": "colour=red"}, SettingsError, "cannot be made of a request and the options colour=red"),
+        ({"options": "broken=true"}, LinkError, "left gripper: the driver .*OSError.*no such device"),
+    ],
+)
+def test_a_driver_that_does_not_fit_is_refused(file, system, changes, error, text):
+    with pytest.raises(error, match=text):
+        own_link(file, system, **changes)
+
+
+@pytest.mark.parametrize(
+    ("answer", "text"),
+    [
+        (lambda: 1 / 0, "ZeroDivisionError"),
+        (None, "TypeError"),
+        (GripperReading("wide", "", None), "ValueError"),
+        (GripperReading(float("nan"), "", None), "an opening of nan m; expected are 0 to 0.085 m"),
+        (GripperReading(85.0, "", None), "an opening of 85.0 m"),
+        (GripperReading(-0.02, "", None), "an opening of -0.02 m"),
+        (GripperReading(0.03, None, None), "found the fault None"),
+    ],
+)
+def test_what_a_driver_of_ones_own_gets_wrong_is_a_lost_gripper(file, system, monkeypatch, answer, text):
+    monkeypatch.setattr(Own, "answer", staticmethod(answer) if callable(answer) else answer)
+    with pytest.raises(LinkError, match=f"left gripper: the driver .*:Own: .*{text}"):
+        own_link(file, system).read()
 
 
 # A gripper at a digital output.

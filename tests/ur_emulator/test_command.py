@@ -160,21 +160,23 @@ def gripped(lab):
     return lab
 
 
-def test_a_cell_file_names_its_grippers(gripped):
+@pytest.mark.parametrize("open_level", [True, False])
+def test_a_cell_file_names_its_grippers(gripped, open_level):
+    gripped.write_text(gripped.read_text().replace("open_level = true", f"open_level = {str(open_level).lower()}"))
     emulator = of_cell(gripped, [free_address(), free_address()], 0, {"plant": "nominal"})
     try:
         left, right = emulator.servers
         assert left.ports["gripper"].number == 63353
         assert "gripper" not in right.ports
         assert [tool.name for tool in emulator.world.tools] == ["robotiq_2f85", "generic_140"]
-        for level, width_m in ((1, 0.14), (0, 0.0), (1, 0.14)):
+        for level, width_m in ((open_level, 0.14), (not open_level, 0.0), (open_level, 0.14)):
             right.controller.io.outputs = level << 5
             for _ in range(600):
                 emulator.tick()
             assert emulator.world.read(1).gripper_m == pytest.approx(width_m, abs=1e-3)
-        right.controller.io.outputs = 0
+        right.controller.io.outputs = (not open_level) << 5
         right.gripper.powered = False
-        assert right.gripper.tick(0.002, 0.14) == pytest.approx(0.14, abs=1e-3)  # it keeps its hold
+        assert right.gripper.tick(1.0, 0.14) == pytest.approx(0.14, abs=1e-3)  # it keeps its hold
         assert emulator.world.read(0).gripper_m == pytest.approx(0.085, abs=1e-3)  # nobody moved the other
     finally:
         emulator.close()

@@ -24,6 +24,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import argparse
 import json
 import math
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -33,16 +34,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+sys.path.insert(0, str(Path(__file__).parents[1]))  # simulated observations are those of the tests
+
 from dual_ur10 import ArmMount, CellConfig
 from dual_ur10.cli.demo_report.carry import CARRY_ID, TASK
 from dual_ur10.cli.demo_report.case import Case
 from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters
 from dual_ur10.sim2real.calibration.estimate import LEVEL, BaseEstimate, estimate
 from dual_ur10.sim2real.calibration.observations import BarPose, Noise, Observation, Touch
-from dual_ur10.sim2real.calibration.simulated import bar_poses, board_views, held, random_dh, touched
+from dual_ur10.sim2real.calibration.recording import touched
 from dual_ur10.sim2real.calibration.suggestions import bar_candidates, best, plan, touch_candidates
 from dual_ur10.sim2real.calibration.transforms import right_in_left, rotation_of, rotvec_of
 from dual_ur10.sim2real.config.perturbation import Perturbation
+from tests.sim2real.calibration.simulated import bar_poses, board_views, held, random_dh
 
 Array = NDArray[np.float64]
 Arms = tuple[DHParameters, DHParameters]

@@ -158,8 +158,7 @@ def _simulate(cell: CellFile, data: Path, count: int, dh: Any, near: Any, seed: 
 
     from dual_ur10.sim2real.calibration import data_file
     from dual_ur10.sim2real.calibration.observations import Noise
-    from dual_ur10.sim2real.calibration.recording import emulated_base
-    from dual_ur10.sim2real.calibration.simulated import touched
+    from dual_ur10.sim2real.calibration.recording import emulated_base, touched
     from dual_ur10.sim2real.calibration.suggestions import plan, touch_candidates
 
     true, rng = emulated_base(cell), np.random.default_rng(seed)

@@ -1,4 +1,4 @@
-"""Joint angles of both arms at rest, read from their controllers. Nothing is commanded."""
+"""Joint angles of arms at rest, read from their controllers, and touches of emulated arms; nothing is commanded."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from typing import Any, Final
 import numpy as np
 
 from dual_ur10.errors import CalibrationError, EmulatorError, LinkError
+from dual_ur10.kinematics.inverse import nearest
 from dual_ur10.kinematics.rotations import quat_to_matrix
-from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.sim2real.calibration.observations import JointAngles
-from dual_ur10.sim2real.calibration.transforms import inverse_of, transform
+from dual_ur10.kinematics.ur10 import ARMS, DHParameters
+from dual_ur10.sim2real.calibration.observations import JointAngles, Noise, Touch
+from dual_ur10.sim2real.calibration.transforms import flange, inverse_of, transform
 from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.links.json_link import JsonLink
 from dual_ur10.sim2real.links.rtde_link import RtdeLink
@@ -89,3 +90,26 @@ def emulated_base(file: CellFile, *, system: System = LOCAL) -> Array:
     except (LinkError, OSError) as error:
         raise EmulatorError(f"{error}. Start the cell with `python -m dual_ur10 emulate --cell FILE`") from error
     return inverse_of(poses[0]) @ poses[1]
+
+
+def touched(
+    planned: Touch, dh: tuple[DHParameters, DHParameters], base: Array, noise: Noise, rng: np.random.Generator
+) -> Touch:
+    """Return a touch as measured: the right tip is brought to the left one, up to the noise.
+
+    Args:
+        planned: Its left joint angles and tools are taken, and the right tool's orientation.
+        dh: True kinematics of both arms.
+        base: (4, 4) true pose of the right base in the left one.
+        noise: Standard deviations.
+        rng: Source of the noise.
+
+    Raises:
+        UnreachableError: The right arm does not reach the point.
+    """
+    point = flange(planned.left_q_rad, dh[0]) @ [*planned.left_tcp_m, 1.0]
+    point[:3] += rng.normal(0.0, noise.touch_m, 3)
+    tool = flange(planned.right_q_rad, dh[1])[:3, :3]
+    at = (inverse_of(base) @ point)[:3] - tool @ np.asarray(planned.right_tcp_m)
+    right = nearest(at, tool, np.asarray(planned.right_q_rad), dh[1])
+    return Touch(planned.left_q_rad, tuple(right.tolist()), planned.left_tcp_m, planned.right_tcp_m)

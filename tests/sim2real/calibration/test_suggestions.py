@@ -5,10 +5,10 @@ import pytest
 
 from dual_ur10.errors import CalibrationError
 from dual_ur10.sim2real.calibration.estimate import estimate
-from dual_ur10.sim2real.calibration.simulated import bar_poses, held
 from dual_ur10.sim2real.calibration.suggestions import bar_candidates, best, plan, touch_candidates
 from dual_ur10.sim2real.calibration.transforms import flange, transform
 from tests.sim2real.calibration.cells import CANDIDATES, NEAR, NOISE, NOMINAL, PLANNED, TIP_M, shifted, touches
+from tests.sim2real.calibration.simulated import bar_poses, held
 
 
 def test_candidates_are_points_that_both_tips_reach():

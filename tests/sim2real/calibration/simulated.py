@@ -1,4 +1,4 @@
-"""Simulated observations of cells whose right base is known: for studies, tests and emulated cells."""
+"""Simulated observations of cells whose right base is known; see also `recording.touched`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from dual_ur10.errors import UnreachableError
 from dual_ur10.kinematics.inverse import nearest, try_nearest
 from dual_ur10.kinematics.ur10 import DH_A_M, DH_ALPHA_RAD, DH_D_M, DHParameters
-from dual_ur10.sim2real.calibration.observations import BarPose, BoardView, JointAngles, Noise, Touch
+from dual_ur10.sim2real.calibration.observations import BarPose, BoardView, JointAngles, Noise
 from dual_ur10.sim2real.calibration.transforms import flange, inverse_of, rotation_of, rotvec_of, transform
 from dual_ur10.types import Array
 
@@ -34,29 +34,6 @@ def random_dh(rng: np.random.Generator) -> DHParameters:
     return DHParameters(
         tuple(a.tolist()), tuple(d.tolist()), tuple(alpha.tolist()), tuple(theta.tolist()), robot="ur10"
     )
-
-
-def touched(
-    planned: Touch, dh: tuple[DHParameters, DHParameters], base: Array, noise: Noise, rng: np.random.Generator
-) -> Touch:
-    """Return a touch as measured: the right tip is brought to the left one, up to the noise.
-
-    Args:
-        planned: Its left joint angles and tools are taken, and the right tool's orientation.
-        dh: True kinematics of both arms.
-        base: (4, 4) true pose of the right base in the left one.
-        noise: Standard deviations.
-        rng: Source of the noise.
-
-    Raises:
-        UnreachableError: The right arm does not reach the point.
-    """
-    point = flange(planned.left_q_rad, dh[0]) @ [*planned.left_tcp_m, 1.0]
-    point[:3] += rng.normal(0.0, noise.touch_m, 3)
-    tool = flange(planned.right_q_rad, dh[1])[:3, :3]
-    at = (inverse_of(base) @ point)[:3] - tool @ np.asarray(planned.right_tcp_m)
-    right = nearest(at, tool, np.asarray(planned.right_q_rad), dh[1])
-    return Touch(planned.left_q_rad, tuple(right.tolist()), planned.left_tcp_m, planned.right_tcp_m)
 
 
 def bar_poses(

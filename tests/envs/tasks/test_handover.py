@@ -241,11 +241,18 @@ def test_a_lost_block_ends_the_episode(where, reason):
     assert not step.info["is_success"][0]
 
 
-@pytest.mark.parametrize("where", [(0.5, 0.0, 0.02), (-0.45, 0.85, 0.02)])
+@pytest.mark.parametrize("where", [(0.5, 0.0, 0.02), (-0.45, 0.85, 0.02), (0.45, -0.85, 0.02)])
 def test_a_block_anywhere_on_the_table_is_not_lost(where):
     core, _ = begun()
     put(core, where)
     assert not core.step(STAY).terminated[0]
+
+
+def test_a_reset_forgets_the_slip_of_its_rows():
+    task = Core("Handover", {}, n=2).task
+    task._slip_m[:] = 0.004
+    task.start(np.array([1]), [np.random.default_rng(0)])
+    assert task._slip_m.tolist() == [[0.004, 0.004], [0.0, 0.0]]
 
 
 def test_tighter_limits_prolong_the_episode():

@@ -1,5 +1,6 @@
 import dataclasses
 import pickle
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -80,6 +81,25 @@ def test_agents_of_the_sine_observe_the_other_flange_in_their_own_base():
         assert np.array_equal(task.observe_agents(both[rows]), own[rows])
         assert np.array_equal(copy.observe_agents(both[rows]), own[rows])
     assert not np.shares_memory(task.observe_agents(both), task.observe_agents(both))
+
+
+def test_success_is_the_accuracy_of_both_arms_in_the_whole_episode():
+    task = EnvSetup.resolve("SineTracking", {"duration_s": 0.12}).make_task(4)
+    off_m = np.array([[0.004, 0.0], [0.0, 0.004], [0.002, 0.002], [0.0, 0.0]])
+    zeros = np.zeros((4, 2))
+
+    def evaluate(factor=1.0):
+        errors = SimpleNamespace(off_m=factor * off_m, closeness=zeros, near=zeros[..., None], chord=zeros)
+        return task.evaluate(None, SimpleNamespace(errors=errors, reference_m=zeros))
+
+    assert not any(evaluate().over.any() for _ in range(2))
+    outcome = evaluate()
+    assert outcome.over.all()
+    assert outcome.success.tolist() == [False, False, True, True]
+    assert outcome.info["flange_rms_m"] == pytest.approx(off_m)
+    task.start(np.array([0, 2]), [np.random.default_rng(0)] * 2)
+    assert [evaluate(0.5).over.tolist() for _ in range(2)] == [[False, True, False, True]] * 2
+    assert evaluate(0.5).success.tolist() == [True, False, True, True]
 
 
 def test_displacements_do_not_depend_on_other_rows():

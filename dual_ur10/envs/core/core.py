@@ -287,11 +287,7 @@ class Core:
             cell.stop(f"the policy's action was refused: {error}")
             raise
         try:
-            payload_kg = self.task.payload_kg()
-            if payload_kg is not None:
-                command = command._replace(payload_kg=payload_kg)
-            if self.config.controllers:
-                command = command._replace(coupled=bool(self.task.coupled()[0]))
+            command = self._with_load(command)
             period = self._advance(cell, command)
         except CellFaulted:
             self._state = before  # a fault persists, and the next step reports it again
@@ -334,6 +330,13 @@ class Core:
         if self._hook is not None:
             self._hook.step(action, command, step, period, early_end(step.details(0)))
         return step
+
+    def _with_load(self, command: Command) -> Command:
+        """Return a command with the payload that the task declares and, on controllers, the coupling of the arms."""
+        payload_kg = self.task.payload_kg()
+        if payload_kg is not None:
+            command = command._replace(payload_kg=payload_kg)
+        return command._replace(coupled=bool(self.task.coupled()[0])) if self.config.controllers else command
 
     def _all_terms(self, terms: Array, refused: list[int], success: Mask) -> Array:
         """Return the terms of the arms with those of refusals and success, as far as there are weights for them."""

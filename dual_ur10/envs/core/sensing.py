@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dual_ur10.envs.core.randomization import Randomization
 from dual_ur10.kinematics.frames import Frames
@@ -78,12 +77,7 @@ class Sensing:
                 self._turn[rows, k] = quat_from_rotvec(noise * sampled["object_offset_rad"][:, k])
             self._age[rows] = np.minimum(sampled["observation_delay_s"] / self._period_s, 1.0)
         if self._late:
-            fresh = _copy(state)
-            if self._before is not None:
-                for old, new in zip(_arrays(self._before), _arrays(fresh), strict=True):
-                    old[rows] = new[rows]
-            else:
-                self._before = fresh
+            self._before = _copy(state)  # rows that continue have not moved since their last observation
         if self._noisy:
             self._sample_noise(rows)
 
@@ -160,14 +154,6 @@ def _turned(new: Array, old: Array, age: Array) -> Array:
     mixed = new + age * (old - new)
     result: Array = mixed / np.sqrt(np.add.reduce(mixed * mixed, axis=-1, keepdims=True))
     return result
-
-
-def _arrays(state: CellState) -> Iterator[NDArray[Any]]:
-    """Yield all arrays of a state."""
-    yield from (each for each in state if isinstance(each, np.ndarray))
-    for pose in state.objects.values():
-        yield from pose
-    yield from state.joints.values()
 
 
 def _copy(state: CellState) -> CellState:

@@ -52,9 +52,6 @@ _MICRO: Final = 1e6
 FRAME_BYTES: Final = len(_SYNC) + _HEAD.size + MOST_PAYLOAD + _CRC.size
 """Largest frame."""
 
-LARGEST_RAD: Final = 2_000.0
-"""Largest joint position and speed that fit into a point, rad and rad/s."""
-
 
 class Request(IntEnum):
     """Kinds of requests.

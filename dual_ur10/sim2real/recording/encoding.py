@@ -151,7 +151,6 @@ _RECORD: Final = [
     ("at", "<u8"),
 ]
 _MESSAGE: Final = 0x05
-RECORD_SIZE: Final = 31
 
 
 class FlatRows:

@@ -50,8 +50,6 @@ _POLL_S: Final = 0.01
 _SUPERVISOR_S: Final = 1.0
 _VERDICT_S: Final = 0.1
 _STATE_S: Final = 0.05
-_EARLY_S: Final = 0.001  # by which a state may come early
-_SOON_S: Final = 5e-4
 _OF_STREAMS: Final = ("RTDE rate", "RTDE jitter", "round trip")  # checks of the network
 
 

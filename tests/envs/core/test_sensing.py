@@ -95,13 +95,13 @@ def test_a_moved_base_is_not_measured():
 
 
 def test_delay_mixes_two_successive_states():
-    delay = np.array([0.0, 0.01, 0.02, 0.04])
+    delay = np.array([0.0, 0.01, 0.02, 0.05])  # the last one is more than the period
     made, first = sensing(sampled={"observation_delay_s": delay}, observation_delay_s=0.04)
     assert np.allclose(made.begun(first).q_rad, first.q_rad)
     second, third = state(1), state(2)
     for before, now in ((first, second), (second, third)):
         seen = made(now)
-        share = (delay / 0.04)[:, None, None]
+        share = np.array([0.0, 0.25, 0.5, 1.0])[:, None, None]
         assert np.allclose(seen.q_rad, now.q_rad + share * (before.q_rad - now.q_rad))
         assert np.allclose(np.linalg.norm(seen.flange_base_quat, axis=-1), 1.0)
         assert np.array_equal(seen.objects["bar"].position_m[0], now.objects["bar"].position_m[0])

@@ -157,6 +157,10 @@ class CellWorld:
             raise SettingsError(f"prop is missing: name one of the objects of this cell, {', '.join(posed)}")
         self._physics.place(prop or free[0], pose)
 
+    def set_joints(self, values: Mapping[str, float]) -> None:
+        """See `SimulatedWorld`."""
+        self._physics.set_joints(values)
+
     def push(self, arm: int, wrench: Array, duration_s: float) -> None:
         """See `SimulatedWorld`."""
         self._hands[arm] = Hand(np.array(wrench, dtype=np.float64), round(duration_s / self.tick_s))

@@ -252,6 +252,12 @@ class FaultInjection:
             raise SettingsError(f"an object cannot be put at {pose[:3]}: allowed are ±{_MAX_DISTANCE_M:g} m")
         self._cell.world.place(np.array(pose, dtype=np.float64), prop)
 
+    def do_set_joints(self, values: dict[str, float]) -> None:
+        """Put joints of the task's objects at positions, at rest."""
+        if any(abs(value) > _MAX_DISTANCE_M for value in values.values()):
+            raise SettingsError(f"joints cannot be put at {values}: allowed are ±{_MAX_DISTANCE_M:g} rad or m")
+        self._cell.world.set_joints(values)
+
     def do_push(self, arm: str, wrench: _Wrench, seconds: _Push) -> None:
         """Push an arm's flange by hand: force and torque along the axes of its `base`. In freedrive it yields."""
         for values, most, unit in ((wrench[:3], _MOST_N, "N"), (wrench[3:], _MOST_NM, "N·m")):

@@ -182,6 +182,11 @@ class LoneArm:
         """See `SimulatedWorld`."""
         raise SettingsError("a controller by itself has no object to place: emulate a cell with the scene of a task")
 
+    def set_joints(self, values: Mapping[str, float]) -> None:
+        """See `SimulatedWorld`."""
+        for name in values:
+            raise UnknownNameError("joint of a prop", name, ())
+
     def push(self, arm: int, wrench: Array, duration_s: float) -> None:
         """See `SimulatedWorld`."""
         self._hand = Hand(np.array(wrench, dtype=np.float64), round(duration_s / self.tick_s))

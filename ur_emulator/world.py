@@ -136,6 +136,13 @@ class SimulatedWorld(Protocol):
             UnknownNameError: There is no such object.
         """
 
+    def set_joints(self, values: Mapping[str, float]) -> None:
+        """Put joints of objects at positions, rad or m, by their names, at rest.
+
+        Raises:
+            UnknownNameError: There is no such joint.
+        """
+
     def push(self, arm: int, wrench: Array, duration_s: float) -> None:
         """Push the flange of an arm by hand, in place of an earlier push.
 

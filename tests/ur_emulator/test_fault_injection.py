@@ -24,8 +24,8 @@ from ur_emulator.script import parse
 
 DOCS = Path(__file__).parents[2] / "docs" / "reference" / "emulator.md"
 REQUESTS = sorted(
-    ["info", "state", "pose", "place", "setpoints", "received", "clients", "stop", "release", "reduce", "press",
-     "slider", "remote", "input", "program", "push", "link", "heal", "drop", "refuse", "override", "watchdog",
+    ["info", "state", "pose", "place", "set_joints", "setpoints", "received", "clients", "stop", "release", "reduce",
+     "press", "slider", "remote", "input", "program", "push", "link", "heal", "drop", "refuse", "override", "watchdog",
      "script_delay", "pretend", "calibration", "shutdown"]
 )  # fmt: skip
 

@@ -1,13 +1,16 @@
-"""Objects of a task of one's own on controllers: placed at a reset, and tracked without grippers."""
+"""Objects of a task of one's own on controllers: placed with their joints at a reset, tracked without grippers."""
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import gymnasium as gym
 import numpy as np
 import pytest
 
+from dual_ur10.envs.core.options import MOVE_TO_START
+from dual_ur10.errors import EmulatorError, StartError
 from dual_ur10.tasks import (
     ARM_FIELDS,
     Equipment,
@@ -27,6 +30,9 @@ from dual_ur10.testing import VirtualCell
 BODY = "<mujoco><worldbody><body {}>{}<geom type='box' size='.03 .03 .03' mass='0.2'/></body></worldbody></mujoco>"
 BOX = Prop(name="box", mjcf=BODY.format("", "<freejoint/>"))
 MARK = Prop(name="mark", mjcf=BODY.format("mocap='true'", ""))
+LID = "<body pos='0 0 .04'><joint name='lid' axis='0 0 1' range='0 90' damping='.001'/>"
+LID += "<geom type='box' size='.03 .03 .003' mass='0.1'/></body>"
+CASE = Prop(name="case", mjcf=BODY.format("pos='.1 .2 .03'", LID))
 AT = {"box": (0.1, 0.2, 0.03), "mark": (0.1, -0.2, 0.03)}
 
 
@@ -49,7 +55,7 @@ class Look(Task):
         return SceneRequirements(Equipment(props=cls.props))
 
     def start(self, rows, rngs):
-        poses = {each.name: np.array([[*AT[each.name], 1.0, 0.0, 0.0, 0.0]]) for each in self.props}
+        poses = {each.name: np.array([[*AT[each.name], 1.0, 0.0, 0.0, 0.0]]) for each in self.props if each.posed}
         return Start(home_q_rad((self.cell.left, self.cell.right))[None], objects=poses)
 
     def measure(self, state):
@@ -69,10 +75,23 @@ class Mark(Look):
     props = (MARK,)
 
 
+class Lid(Look):
+    """A case with a lid that is opened by half a radian."""
+
+    props = (CASE,)
+
+    def start(self, rows, rngs):
+        return super().start(rows, rngs)._replace(joints={"lid": np.array([0.5])})
+
+    def measure(self, state):
+        return {"lid_rad": state.joints["lid"].copy()}
+
+
 @pytest.fixture(autouse=True)
 def _tasks(registries):
     register("Lab/Look-v0")(Look)
     register("Lab/Mark-v0")(Mark)
+    register("Lab/Lid-v0")(Lid)
 
 
 @pytest.mark.parametrize("name", ["Look", "Mark"])
@@ -88,3 +107,32 @@ def test_props_are_placed_and_tracked_without_grippers(name):
             for _ in range(5):
                 info = env.step(still)[-1]
             assert info["box"] == pytest.approx([-0.1, 0.3, 0.03], abs=2e-3)
+
+
+def test_joints_of_props_start_where_the_task_says():
+    with VirtualCell(task="Lid") as cell, gym.make("Lab/Lid-v0", cell=cell, disable_env_checker=True) as env:
+        still = np.zeros(12, dtype=np.float32)
+        for _ in range(2):
+            env.reset(seed=0, options={MOVE_TO_START: True})
+            assert env.step(still)[-1]["lid_rad"] == pytest.approx(0.5, abs=1e-3)
+            cell.ask("set_joints", values={"lid": 1.2})
+            for _ in range(5):
+                info = env.step(still)[-1]
+            assert info["lid_rad"] == pytest.approx(1.2, abs=1e-3)
+        for bad, text in (({"lit": 0.0}, "use one of 'lid'"), ({"lid": 1e9}, "allowed are"), ({"lid": "x"}, "lid")):
+            with pytest.raises(EmulatorError, match=text):
+                cell.ask("set_joints", values=bad)
+
+
+@pytest.mark.parametrize("tracked", [True, False])
+def test_a_person_sets_joints_where_no_program_can(monkeypatch, tracked):
+    """But nobody is believed where nothing measures them."""
+    asked = []
+    monkeypatch.setattr(Lid, "props", (dataclasses.replace(CASE, tracked=tracked),))
+    with VirtualCell(task="Lid") as cell:
+        env = gym.make("Lab/Lid-v0", cell=cell, disable_env_checker=True, confirm=lambda text: asked.append(text))
+        with env:
+            env.unwrapped.core.cell._placer = None  # as on a real cell
+            with pytest.raises(StartError, match="not confirmed" if tracked else "'lid' .* nothing that sets joints"):
+                env.reset(seed=0)
+    assert ["The joint lid of the case should be at 0.500 rad" in text for text in asked] == [True] * tracked

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -210,6 +210,7 @@ class Props:
         self.objects: dict[str, Poses] = {}
         self.joints: dict[str, Array] = {}
         self._dofs: dict[str, slice] = {}
+        self._joint_dofs: dict[str, int] = {}
         for prop in props:
             if prop.free:
                 joint = model.joint(f"{prop.name}/free")
@@ -221,7 +222,9 @@ class Props:
                 position_m, quat = batch.bind("mocap_pos"), batch.bind("mocap_quat")
                 self.objects[prop.name] = Poses(position_m[:, row], quat[:, row])
             for name in prop.joints:
-                self.joints[name] = qpos[:, int(model.joint(f"{prop.name}/{name}").qposadr[0])]
+                joint = model.joint(f"{prop.name}/{name}")
+                self.joints[name] = qpos[:, int(joint.qposadr[0])]
+                self._joint_dofs[name] = int(joint.dofadr[0])
 
     def reset(self, start: Start, rows: Rows) -> None:
         """Put the props of `rows` where an episode begins."""
@@ -241,6 +244,19 @@ class Props:
         self.objects[name].position_m[:], self.objects[name].quat[:] = pose[:3], pose[3:]
         if name in self._dofs:
             qvel[:, self._dofs[name]] = 0.0
+
+    def set_joints(self, values: Mapping[str, float], qvel: Array) -> None:
+        """Put joints of the props of every cell at positions, at rest.
+
+        Raises:
+            UnknownNameError: There is no such joint.
+        """
+        for name in values:
+            if name not in self.joints:
+                raise UnknownNameError("joint of a prop", name, list(self.joints))
+        for name, value in values.items():
+            self.joints[name][:] = value
+            qvel[:, self._joint_dofs[name]] = 0.0
 
 
 def _weight(model: Any, arm: str) -> tuple[float, Array]:

@@ -150,6 +150,16 @@ class Physics:
         self._good = self._integration.copy()
         self._forward()
 
+    def set_joints(self, values: Mapping[str, float]) -> None:
+        """Put joints of the props of every cell at positions, rad or m, at rest.
+
+        Raises:
+            UnknownNameError: There is no such joint.
+        """
+        self._props.set_joints(values, self._batch.bind("qvel"))
+        self._good = self._integration.copy()
+        self._forward()
+
     def advance(
         self,
         motion: Motion,

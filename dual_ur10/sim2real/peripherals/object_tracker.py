@@ -9,7 +9,7 @@ import reprlib
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import Annotated, Final, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -313,7 +313,7 @@ def _tracker_of(cell_file: CellFile, prop: Prop, entry: Tracker | None, system: 
 
 
 class ObjectPlacer(Closing):
-    """Client that puts objects of a task at poses, at rest.
+    """Client that puts objects of a task at poses, and their joints at positions, at rest.
 
     Args:
         link: Connection to the service; the placer closes it.
@@ -338,10 +338,21 @@ class ObjectPlacer(Closing):
             "position_m": [float(each) for each in position_m],
             "quat": [float(each) for each in quat],
         }
+        self._ask(f"the {name} was not placed", "place", **pose)
+
+    def set_joints(self, values: Mapping[str, float]) -> None:
+        """Put joints of objects at positions, rad or m, by their names.
+
+        Raises:
+            EmulatorError: There is no such joint, or there was no answer.
+        """
+        self._ask(f"the joints {', '.join(values)} were not set", "set_joints", values=dict(values))
+
+    def _ask(self, finding: str, do: str, **values: Any) -> None:
         try:
-            self._link.ask("place", **pose)
+            self._link.ask(do, **values)
         except (LinkError, OperationRefusedError) as error:
-            raise EmulatorError(f"the {name} was not placed: {error}") from error
+            raise EmulatorError(f"{finding}: {error}") from error
 
     def close(self) -> None:
         """End the connection. May be called twice."""

@@ -188,12 +188,14 @@ class RtdeCell:
             perturbation: Perturbation of simulated cells; unused.
 
         Raises:
-            StartError: There is no path, it was not confirmed, or an arm or gripper does not arrive.
+            StartError: There is no path, it was not confirmed, an arm or gripper does not arrive, or nothing sets or
+                measures a joint of a prop.
             CellFaulted: The arms were stopped.
             LinkError: A gripper or the object tracker was lost.
         """
         runner = self._open
         runner.check()
+        self._check_joints(start)
         self.finish()
         runner.cell.limit_scaling(1.0)
         if runner.begun:
@@ -215,16 +217,40 @@ class RtdeCell:
                 log.warning("%s. They continue from there", error)
                 now = runner.last()
         statuses = self._path.arrived(runner, goal)
-        if self._placer is not None and start.objects:
-            for prop in self.config.equipment.props:
-                if prop.posed and prop.name in start.objects:
-                    pose = np.asarray(start.objects[prop.name]).reshape(7)
-                    self._placer.place(prop.name, pose[:3].tolist(), pose[3:].tolist())
-            self.system.clock.sleep(2.0 * _POLL_S)
+        self._place_props(start)
         self._mirror.start(start)
         self._origin, self._elapsed, self._paused = None, 0, False
         self._garbage.prepare_episode()
         return CellStep(self._state(statuses), None if self._only is None else goal[None])
+
+    def _check_joints(self, start: Start) -> None:
+        """Refuse to believe that a person has put joints where nothing measures them.
+
+        Raises:
+            StartError: The start has such a joint, and this cell cannot put it there.
+        """
+        if self._placer is not None:
+            return
+        for prop in self.config.equipment.props:
+            for joint in prop.joints if not prop.tracked else ():
+                if joint in start.joints:
+                    raise StartError(
+                        f"the task starts with the joint {joint!r} of the prop {prop.name!r} set: this cell has "
+                        "nothing that sets joints, and nothing measures what a person does. Let the prop be tracked, "
+                        "or leave the joint out of the start"
+                    )
+
+    def _place_props(self, start: Start) -> None:
+        """Put props, and their joints, where the episode begins, if this cell can."""
+        if self._placer is None or not (start.objects or start.joints):
+            return
+        for prop in self.config.equipment.props:
+            if prop.posed and prop.name in start.objects:
+                pose = np.asarray(start.objects[prop.name]).reshape(7)
+                self._placer.place(prop.name, pose[:3].tolist(), pose[3:].tolist())
+        if start.joints:
+            self._placer.set_joints({name: float(np.asarray(each).reshape(())) for name, each in start.joints.items()})
+        self.system.clock.sleep(2.0 * _POLL_S)
 
     def _approach(self, runner: Runner, now: Array, goal: Array, start: Start) -> None:
         """Move both arms from rest at `now` to `goal`, (2, 6) each, after confirmation.
@@ -393,6 +419,10 @@ class RtdeCell:
             if prop.free and prop.name in start.objects:
                 x, y, z = np.asarray(start.objects[prop.name]).reshape(7)[:3]
                 lines.append(f"The {prop.name} should be at ({x:.3f}, {y:.3f}, {z:.3f}) m once they are there.")
+            for joint in prop.joints:
+                if joint in start.joints:
+                    value = float(np.asarray(start.joints[joint]).reshape(()))
+                    lines.append(f"The joint {joint} of the {prop.name} should be at {value:.3f} rad, or m, then.")
         lines.append("Keep everybody out of their reach, and a hand at the emergency stop.")
         return " ".join(lines)
 

@@ -23,6 +23,7 @@ from dual_ur10.kinematics.forward import links
 from dual_ur10.kinematics.frames import ArmMount, Frames
 from dual_ur10.kinematics.poses import Poses
 from dual_ur10.kinematics.rotations import quat_to_matrix, rotate
+from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.types import Array, Mask
 
 APPROACH_M: Final = 0.1
@@ -101,6 +102,9 @@ class Grasps:
         objects: Number k of objects, or of other poses.
         held: Index of the object that each arm grips.
         tools: Tools of both arms.
+
+    Raises:
+        SettingsError: A tool does not open beyond the object and `CLEARANCE_M`, or an index is beyond the objects.
     """
 
     def __init__(
@@ -113,6 +117,13 @@ class Grasps:
         tools: tuple[Tool, Tool] = DEFAULT_TOOLS,
     ) -> None:
         _check_indices("held", held, objects)
+        widths_m = np.broadcast_to(np.asarray(width_m, dtype=np.float64), 2).copy()
+        for arm, tool, width in zip(ARMS, tools, widths_m.tolist(), strict=True):
+            if tool.stroke_m < width + CLEARANCE_M:
+                raise SettingsError(
+                    f"the {arm} tool {tool.name!r} opens by {tool.stroke_m:g} m: to take and leave an object of "
+                    f"{width:g} m it needs {width + CLEARANCE_M:g} m or more. Mount another tool"
+                )
         n = len(grip_m)
         self._flange_m, self._flange_quat = np.zeros((n, 2, 3)), np.zeros((n, 2, 4))
         self._opening_m, self._poses = np.zeros((n, 2)), np.zeros((n, objects, 7))
@@ -126,7 +137,7 @@ class Grasps:
             width_margin_m=_WIDTH_MARGIN_M,
             tcp_m=np.array([each.tcp_m for each in tools]),
             between_m=np.array([_between_m(each) for each in tools]),
-            width_m=np.broadcast_to(np.asarray(width_m, dtype=np.float64), 2).copy(),
+            width_m=widths_m,
             held=np.array(held, dtype=np.int64),
             most_m=np.array(strokes_m(tools)),
             clearance_m=CLEARANCE_M,

@@ -156,6 +156,10 @@ def test_each_gripper_has_a_width_and_fingers_of_its_own():
     ("make", "text"),
     [
         (lambda: Grasps(FRAMES, np.zeros((N, 2, 3)), WIDTH_M, 2, (0, 2)), r"held is \[0, 2\]: allowed are 0 to 1"),
+        (
+            lambda: Grasps(FRAMES, np.zeros((N, 2, 3)), (WIDTH_M, 0.08), 2),
+            r"the right tool 'robotiq_2f85' opens by 0.085 m: .* an object of 0.08 m it needs 0.087 m or more",
+        ),
         (lambda: GoalSteps(N, 2, [Goal(3)]), r"frame of a goal is \[3\]: allowed are -1 to 2"),
         (lambda: GoalSteps(N, 2, [Goal(-2)]), "frame of a goal"),
         (lambda: FrameDistances(N, 2, [0, 2]), r"of is \[0, 2\]"),

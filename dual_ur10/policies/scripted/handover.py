@@ -10,7 +10,7 @@ import numpy as np
 
 from dual_ur10.assets.props import BLOCK_SIZE_M
 from dual_ur10.assets.settings import DEFAULT_TOOLS
-from dual_ur10.assets.tool import Tool
+from dual_ur10.assets.tool import Tool, strokes_m
 from dual_ur10.envs.tasks.geometry import LEARNERS_ROOM_M
 from dual_ur10.envs.tasks.handover.goals import WIDTH_M
 from dual_ur10.envs.tasks.handover.settings import HandoverSettings
@@ -34,7 +34,7 @@ _SPEED_RATIO: Final = 0.92  # of the task's limit
 _FOLLOWED_RAD: Final = 0.01  # largest lag of the command behind the goal at which the motion goes on
 _DT_S: Final = 0.01
 _CLOSED_M: Final = 0.004  # from the block's width: closer fingers hold it
-_OPEN_M: Final = 0.06  # width at which fingers are off the block
+_OPEN_M: Final = 0.02  # from the block's width: fingers that are so much wider are off it, or half their stroke beyond
 _EMPTY_M: Final = 0.01  # below the block's width: nothing is between the fingers
 _LAID_M: Final = 0.01  # above its place on the table: a block that is let go there lands well
 _SURE_S: Final = 0.1  # for which the fingers must be in place
@@ -97,6 +97,8 @@ class HandoverPolicy(ScriptedPolicy):
         calm = np.tile(Handover.limits.speed_rad_s, 2) / duration_ratio(Handover.limits, self.limits)
         self._speed = np.minimum(np.tile(self.limits.speed_rad_s, 2), calm) * _SPEED_RATIO
         self._paths = HandoverPaths(self.mounts, self._speed, timing.period_s, levers_m=self._levers_m)
+        beyond_m = (np.array(strokes_m(tools)) - WIDTH_M) / 2
+        self._open_m = WIDTH_M + np.minimum(_OPEN_M, beyond_m)
         self._is_expert = False
         self.reset()
 
@@ -176,7 +178,7 @@ class HandoverPolicy(ScriptedPolicy):
             return
         receiver = 1 - episode.giver
         arm = episode.giver if episode.phase == _MEET else receiver
-        if WIDTH_M - _EMPTY_M < arms["gripper_m"][arm, 0] < _OPEN_M:
+        if WIDTH_M - _EMPTY_M < arms["gripper_m"][arm, 0] < self._open_m[arm]:
             return
         block = self._paths.to_cell(pose_of(arms, "block_base"))
         if episode.phase == _MEET or block.position_m[arm, 2] > BLOCK_SIZE_M[2] / 2 + _LAID_M:
@@ -217,7 +219,7 @@ class HandoverPolicy(ScriptedPolicy):
         arm = episode.giver if episode.phase in (_PICK, _GIVE) else 1 - episode.giver
         episode.gripper[arm] = 1.0 if opens else -1.0
         width = arms["gripper_m"][arm, 0]
-        done = width > _OPEN_M if opens else abs(width - WIDTH_M) < _CLOSED_M
+        done = width > self._open_m[arm] if opens else abs(width - WIDTH_M) < _CLOSED_M
         episode.waited_s += self.timing.period_s
         episode.sure_s = episode.sure_s + self.timing.period_s if done else 0.0
         if episode.sure_s > _SURE_S or episode.waited_s > _PATIENCE_S:

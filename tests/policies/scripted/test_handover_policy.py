@@ -1,7 +1,10 @@
+import dataclasses
+
 import numpy as np
 import pytest
 
 from dual_ur10 import errors
+from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85
 from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
 from dual_ur10.envs.core.core import Core
 from dual_ur10.envs.tasks.handover.settings import GRIPS, lying
@@ -21,7 +24,7 @@ NOISE = {"object_noise_m": 0.002, "object_noise_rad": np.deg2rad(1.0)}
 
 def policy_of(core, mode="joint_delta"):
     mounts = core.config.left, core.config.right
-    return HandoverPolicy(core.timing, mode, mounts, core.task.limits, core.task.settings)
+    return HandoverPolicy(core.timing, mode, mounts, core.task.limits, core.task.settings, core.config.equipment.tools)
 
 
 def episodes(count, **keywords):
@@ -161,6 +164,13 @@ def test_it_waits_for_the_fingers_up_to_a_limit(patience):
             break
     assert lifted_at is not None
     assert (lifted_at > 3.5) == patience
+
+
+def test_fingers_with_a_short_stroke_are_off_the_block_when_they_are_open():
+    short = dataclasses.replace(ROBOTIQ_2F85, name="short", stroke_m=0.06)
+    (result,), duration_s = episodes(1, cell=CellConfig(tools=(short, short)))
+    assert result["is_success"]
+    assert duration_s < 12.0  # 13.1 if it loses its patience
 
 
 def test_wrong_observations_and_modes():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import ipaddress
 import json
 import logging
 import os
@@ -55,6 +56,7 @@ _SWITCH_S: Final = 0.0002  # longest delay of a control period by the thread tha
 _LATE: Final = 200  # kept numbers of control periods that began more than a period late
 _LATENESS: Final = 20_000  # kept latenesses
 _LATENESS_REPORTED: Final = 10_000
+_LOOPBACK: Final = 127 << 24  # 127.0.0.0
 BOOT_S: Final = (1000.0, 2345.676)
 """Initial clocks of the controllers: unrelated, as on real ones."""
 
@@ -166,7 +168,8 @@ class Emulator:
             programs = {} if options.programs is None else script_texts(options.programs)
             for arm, (name, mount) in enumerate(zip(self.world.names, self.world.mounts, strict=True)):
                 profile = profile_for(mount.robot, options.polyscope)
-                number = int(hosts[arm].rpartition(".")[2]) if options.alone else arm  # no two have the same
+                # No two of a cell, and no two by themselves at other addresses, have the same.
+                number = int(ipaddress.IPv4Address(hosts[arm])) - _LOOPBACK if options.alone else arm
                 serial_number = str(int(profile.serial_number) + number)
                 controller = Controller(
                     name,

@@ -135,6 +135,16 @@ def test_controllers_of_both_families_take_turns(tmp_path):
     assert not world.scheduler.failures
 
 
+def test_controllers_by_themselves_have_serial_numbers_of_their_own():
+    hosts = [f"127.{number}.5" for number in ("70.1", "70.2", "71.2")]
+    made = by_themselves(["ur5"] * 3, hosts, 0, {})
+    numbers = [each.servers[0].controller.profile.serial_number for each in made]
+    for each in made:
+        each.close()
+    assert len(set(numbers)) == 3
+    assert all(len(each) == 10 for each in numbers)
+
+
 @pytest.fixture
 def lab(tmp_path):
     """Return the file of a real cell of two UR5e."""

@@ -12,11 +12,14 @@ from numpy.typing import NDArray
 
 from dual_ur10.envs.tasks.geometry import Number
 from dual_ur10.envs.tasks.task import MeasuredT, Outcome, SettingsT, Task, Timing
+from dual_ur10.errors import SettingsError
 from dual_ur10.sim2real.config.cell import CellConfig, CellState
 from dual_ur10.types import Array, Mask, Rows
 
 NowT = TypeVar("NowT")
 Progress = Number | tuple[Number, Number]
+"""Progress towards passing a stage: of both roles, or of the first and the second one."""
+
 StageMethod = Callable[[Any, Any], tuple[Number, Progress]]
 
 FINISH: Final = "finish"
@@ -95,6 +98,9 @@ class StagedTask(Task[SettingsT, MeasuredT], Generic[SettingsT, MeasuredT, NowT]
         timing: Rate and latency of actions.
         n: Number of cells.
         duration_s: Time of an episode.
+
+    Raises:
+        SettingsError: The class has no stage.
     """
 
     settled_s: ClassVar[float] = 0.5
@@ -112,6 +118,8 @@ class StagedTask(Task[SettingsT, MeasuredT], Generic[SettingsT, MeasuredT, NowT]
 
     def __init__(self, settings: SettingsT, cell: CellConfig, timing: Timing, n: int, duration_s: float) -> None:
         super().__init__(settings, cell, timing, n)
+        if not self._stages:
+            raise SettingsError(f"{type(self).__name__} has no stage: decorate a method for each with `stage`")
         self.duration_s = duration_s
         self.horizon = self._steps = max(1, math.ceil(duration_s / timing.period_s - 1e-9))
         self._settled_steps = max(1, math.ceil(self.settled_s / timing.period_s - 1e-9))

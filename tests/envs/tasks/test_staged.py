@@ -11,6 +11,7 @@ from dual_ur10.envs.tasks.cases import Cases
 from dual_ur10.envs.tasks.observation_layout import ARM_FIELDS, ObservationLayout
 from dual_ur10.envs.tasks.staged import StagedTask, stage
 from dual_ur10.envs.tasks.task import Timing
+from dual_ur10.errors import SettingsError
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.control.limits import MotionLimits
 
@@ -70,6 +71,16 @@ def now(passes=False, progress=0.0, lost=False, n=N):
         np.broadcast_to(progress, (n, STAGES, 2)).astype(float),
         np.broadcast_to(lost, n).copy(),
     )
+
+
+def test_a_task_without_stages_is_refused():
+    class Nothing(StagedTask):
+        limits = MotionLimits()
+        layout = ObservationLayout(*ARM_FIELDS)
+
+    Nothing.__abstractmethods__ = frozenset()
+    with pytest.raises(SettingsError, match="Nothing has no stage"):
+        Nothing(None, CellConfig(), TIMING, 1, 2.0)
 
 
 def test_stages_and_weights_follow_from_the_methods():

@@ -13,7 +13,18 @@ from dual_ur10.assets.gains import COMPLIANT, STIFF, Gains
 from dual_ur10.assets.prop import Camera, Capsule, Prop
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, home_q_rad
 from dual_ur10.assets.tool import Tool
-from dual_ur10.envs.tasks.geometry import FrameDistances, Goal, GoalSteps, Grasps, numbers, ratio
+from dual_ur10.envs.tasks.geometry import (
+    PICKING,
+    FrameDistances,
+    Goal,
+    GoalSteps,
+    Grasped,
+    Grasps,
+    Number,
+    numbers,
+    ratio,
+)
+from dual_ur10.envs.tasks.grasping import GraspingTask, Grip
 from dual_ur10.envs.tasks.observation_layout import (
     ARM_FIELDS,
     Field,
@@ -22,13 +33,17 @@ from dual_ur10.envs.tasks.observation_layout import (
     gripper_field,
     pose_fields,
     pose_values,
+    wrench_fields,
+    wrench_values,
 )
-from dual_ur10.envs.tasks.staged import StagedTask, stage
+from dual_ur10.envs.tasks.staged import Progress, StagedTask, stage
 from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Task, Timing, check_numbers, gaussian
 from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics.frames import Frames
-from dual_ur10.kinematics.poses import Poses
+from dual_ur10.kinematics.poses import Poses, compose, pose, relative_to, rotation_angle, yaw_quat
+from dual_ur10.kinematics.rotations import quat_from_rotvec
 from dual_ur10.policies.scripted.base import Fields, Script, ScriptedPolicy, Wish, on_table
+from dual_ur10.policies.scripted.motions import Motions, Steps, least_jerk, pair, raised
 from dual_ur10.policies.training.settings import Imitation, Reinforcement, TaskSettings
 from dual_ur10.registration import register
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
@@ -39,6 +54,7 @@ __all__ = [
     "ARM_FIELDS",
     "COMPLIANT",
     "HOME_Q_RAD",
+    "PICKING",
     "STIFF",
     "Array",
     "Camera",
@@ -53,13 +69,19 @@ __all__ = [
     "Gains",
     "Goal",
     "GoalSteps",
+    "Grasped",
+    "GraspingTask",
     "Grasps",
+    "Grip",
     "Imitation",
     "Mask",
     "MotionLimits",
+    "Motions",
+    "Number",
     "ObservationLayout",
     "Outcome",
     "Poses",
+    "Progress",
     "Prop",
     "Reinforcement",
     "Rows",
@@ -69,6 +91,7 @@ __all__ = [
     "SettingsError",
     "StagedTask",
     "Start",
+    "Steps",
     "Task",
     "TaskSettings",
     "Timing",
@@ -76,14 +99,25 @@ __all__ = [
     "Wish",
     "arm_values",
     "check_numbers",
+    "compose",
     "gaussian",
     "gripper_field",
     "home_q_rad",
+    "least_jerk",
     "numbers",
     "on_table",
+    "pair",
+    "pose",
     "pose_fields",
     "pose_values",
+    "quat_from_rotvec",
+    "raised",
     "ratio",
     "register",
+    "relative_to",
+    "rotation_angle",
     "stage",
+    "wrench_fields",
+    "wrench_values",
+    "yaw_quat",
 ]

@@ -15,8 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.float64]
+"""Numbers."""
+
 Single: TypeAlias = NDArray[np.float32]
 Mask: TypeAlias = NDArray[np.bool_]
+"""Truth values, mostly one for each row."""
+
 Rows: TypeAlias = NDArray[np.intp]
 """Indices into the batch axis."""
 

@@ -18,6 +18,7 @@ import typer
 import yaml
 
 import ur_emulator.cli
+from dual_ur10 import tasks
 from dual_ur10.cli.main import app
 from dual_ur10.ids import ENV_IDS
 from dual_ur10.policies.training import settings
@@ -108,6 +109,13 @@ def broken_lists(text):
     written = re.findall(r"^ *(\d+)\. ", re.sub(r"^ *```.*?^ *```", "", text, flags=re.M | re.S), re.MULTILINE)
     apart = [] if html.count("<ol>") == written.count("1") else [f"{html.count('<ol>')} numbered lists"]
     return re.findall(r"^\s*(?:<p>|<li>)*(?:(?:\d+\.|[-*+]) |\||```).*", html, re.MULTILINE) + apart
+
+
+def test_every_name_of_the_facade_is_on_a_page():
+    named = {
+        each.split(".")[-1] for path in PAGES for each in re.findall(r"^::: (\S+)$", path.read_text(), re.MULTILINE)
+    }
+    assert sorted(set(tasks.__all__) - named) == []
 
 
 @pytest.mark.parametrize("path", PAGES, ids=page_id)

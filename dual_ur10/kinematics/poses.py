@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dual_ur10.kinematics.rotations import quat_between, quat_conjugate, quat_multiply, rotate
-from dual_ur10.types import Array
+from dual_ur10.types import Array, Vector3
 
 
 class Poses(NamedTuple):
@@ -18,6 +18,12 @@ class Poses(NamedTuple):
 
     position_m: Array
     quat: Array
+
+
+def pose(position_m: Vector3, quat: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)) -> Poses:
+    """Return one pose from plain numbers; the quaternion (w, x, y, z) may have any length."""
+    orientation = np.array(quat, dtype=np.float64)
+    return Poses(np.array(position_m, dtype=np.float64), orientation / np.linalg.norm(orientation))
 
 
 def compose(frame: Poses, pose: Poses) -> Poses:

@@ -33,6 +33,7 @@ class ScriptedPolicy:
 
     Attributes:
         layout: Fields of an observation.
+        timing, mounts, limits, settings, tools: As given, or the defaults.
 
     Raises:
         SettingsError: Actions of this mode are not of joints.
@@ -54,7 +55,7 @@ class ScriptedPolicy:
         self.timing, self.action_mode = timing, action_mode
         self.mounts = SceneSettings().mounts if mounts is None else tuple(mounts)
         self.limits = limits or self.task.limits
-        self._levers_m = levers_m(tools)
+        self.tools, self._levers_m = tools, levers_m(tools)
         self.settings = self.task.settings_type() if settings is None else settings
         self.layout, self._name = self.task.layout_for(self.settings), self.task.__name__  # the name in messages
         self._step_rad = np.tile(self.limits.speed_rad_s, 2) * timing.period_s

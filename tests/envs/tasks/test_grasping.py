@@ -1,0 +1,128 @@
+"""Base of tasks whose arms grip props: layout, measurement, start and refusal."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from dual_ur10.assets.settings import Equipment, home_q_rad
+from dual_ur10.envs.tasks.grasping import GraspingTask, Grip
+from dual_ur10.envs.tasks.observation_layout import ARM_FIELDS, ObservationLayout
+from dual_ur10.envs.tasks.staged import stage
+from dual_ur10.envs.tasks.task import Timing
+from dual_ur10.errors import SettingsError
+from dual_ur10.kinematics.frames import Frames
+from dual_ur10.kinematics.poses import Poses, compose, pose, relative_to
+from dual_ur10.sim2real.config.cell import CellConfig, CellState
+from dual_ur10.sim2real.control.limits import MotionLimits
+
+N = 2
+RNG = np.random.default_rng(1)
+
+
+@dataclass(frozen=True)
+class Brief:
+    duration_s: float = 2.0
+
+
+class Two(GraspingTask):
+    """The left arm grips the cup, the right one the lid; a mark is observed, too."""
+
+    limits = MotionLimits()
+    observed = ("mark", "cup", "lid")
+    grips = (
+        Grip("cup", pose((0.0, 0.0, 0.02), (0.0, 0.0, 1.0, 0.0)), 0.04),
+        Grip("lid", pose((0.1, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0)), 0.02),
+    )
+
+    def facts(self, state, measured):
+        return measured
+
+    @stage(weight=1.0)
+    def hold(self, measured):
+        return measured.holding.all(axis=1), 0.0
+
+    start = None
+
+
+class Stranger(Two):
+    """Grips a prop that it does not observe."""
+
+    observed = ("mark", "cup")
+
+
+class Plain(Two):
+    """States its own layout."""
+
+    observed = ("cup", "lid")
+    layout = ObservationLayout(*ARM_FIELDS)
+
+
+for _each in (Two, Stranger, Plain):
+    _each.__abstractmethods__ = frozenset()
+
+
+def made(task=Two):
+    return task(Brief(), CellConfig(equipment=Equipment(grippers=True)), Timing(0.04, 0.04), N)
+
+
+def random_poses(*shape):
+    quat = RNG.standard_normal((*shape, 4))
+    return Poses(RNG.uniform(-0.3, 0.3, (*shape, 3)), quat / np.linalg.norm(quat, axis=-1, keepdims=True))
+
+
+def state_of(task, objects, tools, width_m):
+    """Return a state in which the tools are at poses, (n, 2, ...), in the cell frame."""
+    back = pose((0.0, 0.0, -task.cell.equipment.tools[0].tcp_m))
+    flange = compose(tools, Poses(*(np.broadcast_to(part, (N, 2, part.size)) for part in back)))
+    zeros = np.zeros((N, 2, 6))
+    frames = Frames((task.cell.left, task.cell.right))
+    base = Poses(frames.position_to_base(flange.position_m), frames.quat_to_base(flange.quat))
+    failed = np.zeros(N, dtype=bool)
+    wrench = RNG.uniform(-5.0, 5.0, (N, 2, 6))
+    values = np.zeros(N), zeros, zeros, *base, flange.position_m, failed, flange.quat, width_m, wrench, objects
+    return CellState(*values)
+
+
+def test_observed_props_are_fields_unless_the_class_states_a_layout():
+    assert Two.layout.names[len(ARM_FIELDS) :] == (
+        *("gripper_m", "force_n", "torque_nm", "mark_base_m", "mark_base_quat"),
+        *("cup_base_m", "cup_base_quat", "lid_base_m", "lid_base_quat"),
+    )
+    assert Plain.layout.names == tuple(field.name for field in ARM_FIELDS)
+
+
+def test_each_arm_holds_its_own_prop_and_sees_all():
+    task, objects = made(), {name: random_poses(N) for name in Two.observed}
+    at = [compose(objects[grip.prop], Poses(*(part[None] for part in grip.tool))) for grip in Two.grips]
+    tools = Poses(*(np.stack(parts, axis=1) for parts in zip(*at, strict=True)))
+    width_m = np.array([[0.04, 0.02], [0.04, 0.06]])  # the right gripper of the second cell is open
+    state = state_of(task, objects, tools, width_m)
+    measured = task.measure(state)
+    assert measured.holding.tolist() == [[True, True], [True, False]]
+    np.testing.assert_allclose(measured.grip_in_tool_m, 0.0, atol=1e-12)
+    fields = task.layout.split(task.observe(state, measured, np.ones((N, 2, 6))))
+    np.testing.assert_array_equal(fields["gripper_m"][..., 0], width_m)
+    np.testing.assert_array_equal(fields["torque_nm"], state.wrench[..., 3:])
+    flange = Poses(fields["flange_base_m"], fields["flange_base_quat"])
+    for name in Two.observed:  # as seen from each flange, which no choice of base changes
+        seen = relative_to(flange, Poses(fields[f"{name}_base_m"], fields[f"{name}_base_quat"]))
+        there = Poses(*(np.repeat(part[:, None], 2, axis=1) for part in objects[name]))
+        expected = relative_to(Poses(state.flange_m, state.flange_quat), there)
+        np.testing.assert_allclose(seen.position_m, expected.position_m, atol=1e-9)
+
+
+def test_a_start_at_home_has_open_grippers_and_forgets_the_stages():
+    task = made()
+    task.passed[:] = 3
+    start = task.start_at_home(np.array([1]), {"cup": np.zeros((1, 7))})
+    assert task.passed.tolist() == [3, 0]
+    assert start.q_rad.tolist() == [home_q_rad((task.cell.left, task.cell.right)).tolist()]
+    assert start.gripper_m.tolist() == [[each.stroke_m for each in task.cell.equipment.tools]]
+    assert set(start.objects) == {"cup"}
+    assert task.horizon == 50
+
+
+def test_a_grip_of_a_prop_that_is_not_observed_is_refused():
+    with pytest.raises(SettingsError, match="Stranger grips lid, but observes mark, cup"):
+        made(Stranger)

@@ -43,7 +43,7 @@ ROWS = 2 * CELLS
 
 
 def seen(observation: np.ndarray) -> np.ndarray:
-    """Return what each arm sees, (2 k, size), of observations of both, (k, 80)."""
+    """Return what each arm sees, (2 k, size), of observations of both, (k, 94)."""
     return observation.reshape(2 * len(observation), -1)[:, SEEN]
 
 
@@ -138,7 +138,7 @@ for update in range(updates):
 # takes the whole observation of an agent: weights of what it does not see are 0.
 layers = [each for each in actor if isinstance(each, nn.Linear)]
 weights = [(each.weight.detach().numpy(), each.bias.detach().numpy()) for each in layers]
-AGENT = SineTracking.agent_layout_for(core.setup.settings).size
+AGENT = SineTracking.layout.size
 first, mean, var = np.zeros((HIDDEN, AGENT), np.float32), np.zeros(AGENT), np.ones(AGENT)
 first[:, SEEN], mean[SEEN], var[SEEN] = weights[0][0], moments.mean, moments.var
 weights[0] = first, weights[0][1]

@@ -17,7 +17,7 @@ CALIBRATE = "docs/how-to/calibrate-the-bases.md"
 TRAIN = "docs/tutorials/train.md"
 TWO_ARMS = "docs/how-to/two-arms.md"
 CONTROL = "docs/explanation/control.md"
-ARCHITECTURE = "docs/explanation/architecture.md"
+ENVIRONMENTS = "docs/reference/environments.md"
 
 SOURCES = [
     (BENCHMARKS, r"^\| nominal \| \S+ mm \| (?P<nominal_rms>\S+) mm"),
@@ -113,8 +113,9 @@ def constants() -> dict[str, str]:
     """Return the facts of the code."""
     from dual_ur10.assets.collision_model import clearance_pairs
     from dual_ur10.assets.props import BAR
-    from dual_ur10.assets.settings import Equipment, SceneSettings
+    from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
     from dual_ur10.envs.core.setup import load_task
+    from dual_ur10.envs.tasks.observation_layout import ConciseView
     from dual_ur10.ids import ENV_IDS
     from dual_ur10.kinematics import ur10
     from dual_ur10.kinematics.robots import ROBOTS
@@ -135,8 +136,9 @@ def constants() -> dict[str, str]:
     for env_id in ENV_IDS:
         task, short = load_task(env_id), env_id.partition("/")[2].partition("-")[0]
         settings = task.settings_type()
-        arm, agent = task.layout_for(settings).size, task.agent_layout_for(settings).size
-        sizes = {"arm": arm, "both": 2 * arm, "agent": agent, "adds": agent - arm}
+        arm = task.layout_for(settings).size
+        view = ConciseView(task.layout_for(settings), HOME_Q_RAD, short)
+        sizes = {"arm": arm, "both": 2 * arm, "goals": 2 * view.layout.size}
         facts |= {f"{short}_{name}": f"{each}" for name, each in sizes.items()}
         facts[f"{short}_rad_s"] = f"{max(task.limits.speed_rad_s):.1f}"
     for family, tick_s in TICK_S.items():
@@ -187,7 +189,7 @@ def constants() -> dict[str, str]:
 
 
 STATEMENTS = [
-    # Sizes of observations, and what agents add to their arm's half.
+    # Sizes of observations.
     (README, "follow the same sine, synchronously | {SineTracking_both} numbers |"),
     (README, "carry it along a path and put it down | {SyncCarry_both} numbers |"),
     (README, "hands it to the other, which places it | {Handover_both} numbers |"),
@@ -197,13 +199,9 @@ STATEMENTS = [
         "docs/tutorials/first-environment.md",
         "holds {SineTracking_arm} numbers of the left arm, then {SineTracking_arm} of the right one",
     ),
-    (
-        ARCHITECTURE,
-        "SineTracking {SineTracking_adds} numbers, the pose of the other flange; SyncCarry and Handover "
-        "{SyncCarry_adds} each",
-    ),
-    (ARCHITECTURE, "SyncCarry and Handover {Handover_adds} each"),
-    ("CHANGELOG.md", "({Handover_agent} and {SyncCarry_agent} numbers)"),
+    (ENVIRONMENTS, "instead of {SineTracking_both} to {SyncCarry_both} numbers"),
+    (ENVIRONMENTS, "it has {SineTracking_goals} to {Handover_goals}, each float32"),
+    ("CHANGELOG.md", "({Handover_arm} and {SyncCarry_arm} numbers)"),
     ("CHANGELOG.md", "({SineTracking_both} numbers)"),
     # Constants of the code.
     (TWO_ARMS, "{latency_ms} ms ({cb3_ticks} ticks of a CB3, {e_series_ticks} of an e-Series)"),

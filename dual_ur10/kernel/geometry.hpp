@@ -115,10 +115,12 @@ EXPORT void frame_distances(const FrameDistances* s, int64_t first, int64_t last
     }
 }
 
-// Frames of both tools at joint positions, in the frame in which the bases are given.
+// Frames of both tools at commanded joint positions, in the frame in which the bases are given. Of each: its step to its
+// goal and the step from the `actual` tool, translations and rotations, as x / (near + |x|); and near / (near + distance)
+// of the goal, as a path and as a chord.
 #define ARM_TOOLS(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                              \
-    INT(n) REALS(links, 156) REALS(tcp_m, 2) REALS(base_m, 6) REALS(to_base, 18) REALS(q_rad, n * 12)                  \
-    REALS(tools, n * 24)
+    INT(n) REALS(links, 156) REALS(tcp_m, 2) REALS(base_m, 6) REALS(to_base, 18) REAL(near_m) REAL(near)               \
+    REALS(q_rad, n * 12) REALS(tools, n * 24) REALS(actual, n * 24) REALS(saturated, n * 24) REALS(closeness, n * 4)
 
 // Goal `goal` of each tool is a pose in frame `frame[goal]`: one of the row's, that of the cell behind the last of them,
 // or, -1, that of the tool itself; then raised. Tools come to goals that are `approached` from behind, from the farther
@@ -177,6 +179,19 @@ inline void step(const GoalSteps& s, int64_t at) {
     s.nearness[at] = 0.25 * sum;
 }
 
+inline void saturate(Vector a, double near, double* to) { write(1.0 / (near + length(a)) * a, to); }
+
+inline void show(const ArmTools& s, const GoalSteps& steps, int64_t at) {
+    const Frame tool = frame(s.tools + 12 * at), actual = frame(s.actual + 12 * at);
+    double *to = s.saturated + 12 * at, *closeness = s.closeness + 2 * at;
+    saturate(vector(steps.move_m + 3 * at), s.near_m, to);
+    saturate(vector(steps.turn + 3 * at), s.near, to + 3);
+    saturate(tool.at - actual.at, s.near_m, to + 6);
+    saturate(rotation_from(actual.turn, tool.turn), s.near, to + 9);
+    closeness[0] = s.near_m / (s.near_m + steps.left_m[at]);
+    closeness[1] = s.near / (s.near + steps.chord[at]);
+}
+
 }  // namespace geometry
 
 // Compute the steps of rows `first` to `last`; with `arms`, those of the tools at joint positions.
@@ -184,16 +199,19 @@ EXPORT void goal_steps(const GoalSteps* s, int64_t first, int64_t last) {
     for (int64_t at = 2 * first; at < 2 * last; ++at) {
         if (s->arms != nullptr) geometry::reach(*s->arms, at);
         geometry::step(*s, at);
+        if (s->arms != nullptr) geometry::show(*s->arms, *s, at);
     }
 }
 
 // Errors of both flanges from references, whose orientations are the same in every row, and terms of a reward: `closeness`,
 // the mean of s / (s + distance) over the scales, with chords on a lever; and gaussians of the distance, of the chord, and
-// of the error `apart_m` of the vector between the flanges, 0.1 at the margins.
+// of the error `apart_m` of the vector between the flanges, 0.1 at the margins. `other_flange` is the pose of the other
+// flange in each arm's base: the row of its pose in its own base, with a 1 behind it, times the arm's matrix in `others`.
 #define TRACKING(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                               \
-    INT(n) REAL(lever_m) REALS(scales_m, 3) REALS(margins, 3) REALS(reference_quat, 8) REALS(flange_m, n * 6)          \
-    REALS(flange_quat, n * 8) REALS(reference_m, n * 6) REALS(turn, n * 6) REALS(off_m, n * 2) REALS(chord, n * 2)     \
-    REALS(apart_m, n) REALS(closeness, n * 2) REALS(near, n * 6)
+    INT(n) REAL(lever_m) REALS(scales_m, 3) REALS(margins, 3) REALS(reference_quat, 8) REALS(others, 112)              \
+    REALS(flange_m, n * 6) REALS(flange_base_m, n * 6) REALS(flange_quat, n * 8) REALS(reference_m, n * 6)             \
+    REALS(turn, n * 6) REALS(off_m, n * 2) REALS(chord, n * 2) REALS(apart_m, n) REALS(closeness, n * 2)               \
+    REALS(near, n * 6) REALS(other_flange, n * 14)
 
 STRUCTURE(Tracking, TRACKING)
 
@@ -218,6 +236,14 @@ EXPORT void track(const Tracking* s, int64_t first, int64_t last) {
                 s->closeness[at] += s->scales_m[k] / (3.0 * (s->scales_m[k] + (off_m + s->lever_m * chord)));
             const double distances[3] = {off_m, chord, s->apart_m[row]};
             for (int k = 0; k < 3; ++k) s->near[3 * at + k] = gaussian(distances[k], s->margins[k]);
+            const double *there_m = s->flange_base_m + 3 * (at ^ 1), *there = s->flange_quat + 4 * (at ^ 1);
+            const double pose[7] = {there_m[0], there_m[1], there_m[2], there[0], there[1], there[2], there[3]};
+            const double* matrix = s->others + 56 * (at & 1);
+            for (int j = 0; j < 7; ++j) {
+                double sum = matrix[49 + j];
+                for (int i = 0; i < 7; ++i) sum += pose[i] * matrix[7 * i + j];
+                s->other_flange[7 * at + j] = sum;
+            }
         }
     }
 }

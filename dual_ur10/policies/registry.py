@@ -215,6 +215,10 @@ def _scripted(env_id: str, keywords: Mapping[str, Any]) -> Policy:
 
     env_id = env_id_of(env_id)
     classes = TASKS[env_id].scripted
+    if keywords.get("observation") == "goals":
+        raise SettingsError(
+            "observation is 'goals', and scripted policies read all fields of the task: use observation='state'"
+        )
     mode = str(keywords.get("action_mode", EnvOptions.action_mode))
     path = classes.get(mode) or classes.get("")
     if path is None and classes:

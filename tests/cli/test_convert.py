@@ -57,7 +57,7 @@ def hostile(sentinel: Path, data: bytes | None = None) -> bytes:
     payload = pickle.dumps(Payload(sentinel))
     item = {":type:": "<class 'x'>", ":serialized:": base64.b64encode(payload).decode()}
     good = dict.fromkeys(("policy_class", "action_space", "clip_range", "policy_kwargs", "lr_schedule"), item)
-    content = json.dumps({**good, "observation_space": {**item, "_shape": [80]}}).encode() if data is None else data
+    content = json.dumps({**good, "observation_space": {**item, "_shape": [94]}}).encode() if data is None else data
     archive = io.BytesIO()
     with zipfile.ZipFile(archive, "w") as zipped:
         zipped.writestr("data", content)
@@ -76,7 +76,7 @@ def zipped(**members: str) -> bytes:
 
 
 def described(**more: Any) -> str:
-    return json.dumps({"policy_class": {}, "observation_space": {"_shape": [80]}, **more})
+    return json.dumps({"policy_class": {}, "observation_space": {"_shape": [94]}, **more})
 
 
 # Models.
@@ -97,7 +97,7 @@ def made(sb3: Any) -> Any:
 
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])
 @pytest.mark.parametrize("named", [False, True])
-@pytest.mark.parametrize(("agents", "inputs", "outputs"), [("joint", 80, 12), ("shared", 47, 6)])
+@pytest.mark.parametrize(("agents", "inputs", "outputs"), [("joint", 94, 12), ("shared", 47, 6)])
 def test_the_checkpoint_acts_as_the_model_does(
     algorithm: str, named: bool, agents: str, inputs: int, outputs: int, made: Any, tmp_path: Path
 ) -> None:
@@ -146,16 +146,16 @@ def test_observations_are_normalised_as_in_training(sb3: Any, made: Any, tmp_pat
 
     from tests.policies.learned.test_from_sb3 import Spaces
 
-    around: Any = VecNormalize(DummyVecEnv([lambda: Spaces(80, 12)]), clip_obs=1.5)
+    around: Any = VecNormalize(DummyVecEnv([lambda: Spaces(94, 12)]), clip_obs=1.5)
     rng = np.random.default_rng(0)
-    around.obs_rms.mean, around.obs_rms.var = rng.normal(size=80), rng.uniform(0.1, 3, size=80)
+    around.obs_rms.mean, around.obs_rms.var = rng.normal(size=94), rng.uniform(0.1, 3, size=94)
     around.save(str(tmp_path / "around.pkl"))
     model = made("sac")
     model.save(tmp_path / "model.zip")
     arguments = ("convert", tmp_path / "model.zip", "SineTracking", "--trust-pickle", *LATENCY, "--out")
     result = run(*arguments, tmp_path / "out", "--vec-normalize", tmp_path / "around.pkl")
     assert result.exit_code == 0, result.output
-    observation = rng.normal(size=(50, 80)) * 3
+    observation = rng.normal(size=(50, 94)) * 3
     expected, _ = model.predict(around.normalize_obs(observation), deterministic=True)
     loaded = policies.load(tmp_path / "out", SINE, action_latency_ticks=5)
     np.testing.assert_allclose(loaded(observation), expected, atol=1e-5)
@@ -163,14 +163,14 @@ def test_observations_are_normalised_as_in_training(sb3: Any, made: Any, tmp_pat
     (tmp_path / "damaged.pkl").write_bytes((tmp_path / "around.pkl").read_bytes()[:100])
     small: Any = VecNormalize(DummyVecEnv([lambda: Spaces(47, 6)]))
     small.save(str(tmp_path / "small.pkl"))
-    small.obs_rms.mean = small.obs_rms.var = np.ones((80, 2))
+    small.obs_rms.mean = small.obs_rms.var = np.ones((94, 2))
     small.save(str(tmp_path / "image.pkl"))
     for name, expected in (
         ("none.pkl", "none.pkl cannot be read: there is no such file"),
         ("other.pkl", "other.pkl holds dict, and no VecNormalize"),
         ("damaged.pkl", "damaged.pkl cannot be read"),
         ("image.pkl", "or of images: observation must be 'state'"),
-        ("small.pkl", "a normaliser has 47 means for 80 inputs"),
+        ("small.pkl", "a normaliser has 47 means for 94 inputs"),
     ):
         refused(run(*arguments, tmp_path / "new", "--vec-normalize", tmp_path / name), expected)
         assert not (tmp_path / "new").exists()
@@ -179,14 +179,14 @@ def test_observations_are_normalised_as_in_training(sb3: Any, made: Any, tmp_pat
 @pytest.mark.parametrize(
     ("algorithm", "sizes", "env", "options", "expected"),
     [
-        ("ppo", (124, 14), "SineTracking", (), "observes 124 numbers; in DualUR10/SineTracking-v0"),
-        ("sac", (80, 12), "SyncCarry", (), "observes 80 numbers; in DualUR10/SyncCarry-v0 both arms together (joint)"),
-        ("ppo", (80, 12), "SineTracking", ("--agents", "shared"), "(shared) 47: name the environment"),
+        ("ppo", (170, 14), "SineTracking", (), "observes 170 numbers; in DualUR10/SineTracking-v0"),
+        ("sac", (94, 12), "SyncCarry", (), "observes 94 numbers; in DualUR10/SyncCarry-v0 both arms together (joint)"),
+        ("ppo", (94, 12), "SineTracking", ("--agents", "shared"), "(shared) 47: name the environment"),
         ("ppo", (47, 6), "SineTracking", ("--agents", "joint"), "observes 47 numbers"),
-        ("ppo", (80, 11), "SineTracking", (), "the network has 11 outputs"),
+        ("ppo", (94, 11), "SineTracking", (), "the network has 11 outputs"),
         ("ppo", (47, 7), "SineTracking", (), "the network has 7 outputs"),
-        ("ppo", (80, 12), "SineTracking", ("--algo", "sac"), "is a model of ppo, but --algo is sac"),
-        ("sac", (80, 12), "SineTracking", ("--algo", "ppo"), "is a model of sac, but --algo is ppo"),
+        ("ppo", (94, 12), "SineTracking", ("--algo", "sac"), "is a model of ppo, but --algo is sac"),
+        ("sac", (94, 12), "SineTracking", ("--algo", "ppo"), "is a model of sac, but --algo is ppo"),
     ],
 )
 def test_a_model_of_another_environment(
@@ -200,7 +200,7 @@ def test_a_model_of_another_environment(
 def test_a_file_with_a_false_observation_size(made: Any, tmp_path: Path) -> None:
     """The network decides, not the size in the file."""
     made("ppo", 50, 6).save(tmp_path / "true.zip")
-    for size, expected in ((80, "the network has 6 outputs: joint"), (47, "the network has 50 inputs")):
+    for size, expected in ((94, "the network has 6 outputs: joint"), (47, "the network has 50 inputs")):
         with zipfile.ZipFile(tmp_path / "true.zip") as old, zipfile.ZipFile(tmp_path / "lie.zip", "w") as new:
             for name in old.namelist():
                 data = old.read(name)
@@ -219,8 +219,8 @@ def test_models_of_other_algorithms(kind: str, sb3: Any, tmp_path: Path) -> None
     from tests.policies.learned.test_from_sb3 import Spaces
 
     own: dict[str, Any] = {"buffer_size": 10} if kind == "TD3" else {}
-    getattr(sb3, kind)("MlpPolicy", Spaces(80, 12), device="cpu", **own).save(tmp_path / "model.zip")
-    assert inspect_model(tmp_path / "model.zip") == (None, 80)
+    getattr(sb3, kind)("MlpPolicy", Spaces(94, 12), device="cpu", **own).save(tmp_path / "model.zip")
+    assert inspect_model(tmp_path / "model.zip") == (None, 94)
     arguments = ("convert", tmp_path / "model.zip", "SineTracking", "--out", tmp_path / "x", "--trust-pickle")
     refused(run(*arguments), "does not specify PPO or SAC")
     assert not (tmp_path / "x").exists()
@@ -268,7 +268,7 @@ def test_nothing_is_unpickled_without_trust(tmp_path: Path, monkeypatch: pytest.
     model.write_bytes(hostile(sentinel))
     for options in ((), ("--algo", "ppo"), ("--agents", "joint"), ("--vec-normalize", around)):
         refused(run("convert", model, "SineTracking", "--out", out, *options), "--trust-pickle")
-    assert inspect_model(model) == ("ppo", 80)
+    assert inspect_model(model) == ("ppo", 94)
     for data in (around.read_bytes(), b"\x80\x04", json.dumps({"py/reduce": [{"py/function": "os.mkdir"}]}).encode()):
         model.write_bytes(hostile(sentinel, data))
         for trusted in ((), ("--trust-pickle",), ("--algo", "ppo", "--trust-pickle")):
@@ -290,7 +290,7 @@ def test_no_code_runs_before_the_arguments_are_checked(sb3: Any, tmp_path: Path)
     for arguments, expected in (
         (("SineTracking", "--out", tmp_path / "there"), "exists, and nothing is overwritten"),
         (("SineTracking", "--out", tmp_path / "a b"), "is no name of a checkpoint"),
-        (("SyncCarry", "--out", out), "observes 80 numbers"),
+        (("SyncCarry", "--out", out), "observes 94 numbers"),
         (("SineTracking", "--out", out, "--algo", "sac"), "is a model of ppo"),
         (("SineTracking", "--out", out, "--algo", "dqn"), "unknown algorithm 'dqn': use one of 'ppo', 'sac'"),
         (("SineTracking", "--out", out, "--agents", "independent"), "unknown agents 'independent': use one of 'joint'"),
@@ -370,7 +370,7 @@ def test_a_file_that_is_not_regular(tmp_path: Path) -> None:
         refused(run("convert", model, "SineTracking", "--out", tmp_path / "x", "--trust-pickle"), "no such file")
 
 
-@pytest.mark.parametrize("space", [None, [80], {}, {"_shape": None}, {"_shape": [3, 4]}, {"_shape": [True]}])
+@pytest.mark.parametrize("space", [None, [94], {}, {"_shape": None}, {"_shape": [3, 4]}, {"_shape": [True]}])
 def test_a_model_without_an_observation_space(space: Any, tmp_path: Path) -> None:
     (tmp_path / "x.zip").write_bytes(zipped(data=described(target_entropy=-12.0, observation_space=space)))
     assert inspect_model(tmp_path / "x.zip") == ("sac", None)
@@ -382,7 +382,7 @@ def test_large_data_are_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     text = described(clip_range=1)
     (tmp_path / "x.zip").write_bytes(zipped(data=text))
     monkeypatch.setattr(from_sb3, "_MOST_DATA", len(text))
-    assert inspect_model(tmp_path / "x.zip") == ("ppo", 80)
+    assert inspect_model(tmp_path / "x.zip") == ("ppo", 94)
     monkeypatch.setattr(from_sb3, "_MOST_DATA", 10)
     with pytest.raises(CheckpointError, match="no model needs so many"):
         inspect_model(tmp_path / "x.zip")
@@ -425,7 +425,7 @@ def test_a_checkpoint_stores_its_environment(tmp_path: Path) -> None:
     from tests.policies.learned.checkpoints import parts
 
     checkpoint.save(tmp_path / "x", *parts(CARRY, action_latency_ticks=5))
-    observation = np.random.default_rng(0).normal(size=124)
+    observation = np.random.default_rng(0).normal(size=170)
     expected = policies.load(tmp_path / "x", CARRY, action_latency_ticks=5)(observation)
     for found in (policies.load(tmp_path / "x"), policies.load(str(tmp_path / "x"), action_latency_ticks=5)):
         assert found(observation).tobytes() == expected.tobytes()

@@ -45,7 +45,7 @@ def own(tmp_path, monkeypatch):
 
 
 def test_a_class_of_ones_own_acts_as_a_policy(own):
-    assert np.array_equal(load(f"{own}:Still", SINE)(np.zeros(80)), np.zeros(12))
+    assert np.array_equal(load(f"{own}:Still", SINE)(np.zeros(94)), np.zeros(12))
     found = evaluate(SINE, f"{own}:Still", episodes=1, env_kwargs={"duration_s": 1.0})
     assert found.mean_return == evaluate(SINE, "zero", episodes=1, env_kwargs={"duration_s": 1.0}).mean_return
 

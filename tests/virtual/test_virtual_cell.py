@@ -16,11 +16,11 @@ from dual_ur10.sim2real.processes.system import System
 from dual_ur10.testing import VirtualCell, check_policy
 
 
-def episode(steps=30, fault=None, **options):
+def episode(steps=30, fault=None, observation="state", **options):
     """Return what both controllers received, observations, and the error that ended it, if one did."""
     seen, error = [], None
     with VirtualCell(task="SineTracking", plant="nominal", **options) as cell:
-        env = gym.make("DualUR10/SineTracking-v0", cell=cell, disable_env_checker=True)
+        env = gym.make("DualUR10/SineTracking-v0", cell=cell, disable_env_checker=True, observation=observation)
         seen.append(env.reset(seed=0)[0])
         try:
             for step in range(steps):
@@ -41,6 +41,15 @@ def test_an_episode_is_the_same_to_the_bit():
     assert first[2] is None
     assert not first[3]
     assert episode() == first
+
+
+def test_the_concise_view_is_that_of_what_is_measured():
+    received, state, *_ = episode(5)
+    same, shown, *_ = episode(5, observation="goals")
+    assert same == received
+    view = gym.make("DualUR10/SineTracking-v0", cell="echo").unwrapped.task.concise_view()
+    expected = view(np.frombuffer(state).reshape(6, -1))
+    assert np.array_equal(np.frombuffer(shown, dtype=np.float32).reshape(6, -1), expected)
 
 
 def test_a_stop_is_the_same_to_the_bit():

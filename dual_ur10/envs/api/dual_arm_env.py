@@ -31,9 +31,10 @@ class DualArmEnv(gym.Env[Any, Array]):
         render_mode: None, "rgb_array" or "human". Without it, and with `observation="state"`, no OpenGL is needed.
         **keywords: Keywords of every environment, `dual_ur10.envs.core.options.EnvOptions`, and of the task.
 
-    Observations: with `observation="state"` (the default) the numbers of the task, (size,); with "pixels" a dict of
-    images, (height, width, 3) uint8, by the names in `cameras`; with "both" `{"state": ..., "pixels": {...}}`; with
-    "flat" the dict of images and `state`. `observation_dtype` is the type of the numbers.
+    Observations: with `observation="state"` (the default) the numbers of the task, (size,); with "goals" the few that
+    lead to its goals, scaled to float32 between -1 and 1; with "pixels" a dict of images, (height, width, 3) uint8, by
+    the names in `cameras`; with "both" `{"state": ..., "pixels": {...}}`; with "flat" the dict of images and `state`.
+    `observation_dtype` is the type of the numbers.
 
     `reset` takes one option, `move_to_start`. On a cell of two controllers a reset moves both arms to where the episode
     begins. The first one needs the confirmation of an operator on real arms (`confirm`, or a question at the terminal);

@@ -29,8 +29,8 @@ _LEFT, _RIGHT = ARMS
 class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore[misc]  # PettingZoo has no types
     """Two UR10s and a task, for two agents, `left` and `right`, that act at the same time.
 
-    Each agent observes its own arm, and of the other the part that `observe_agents` of the task selects. Its action
-    has 6 numbers, 7 where there are grippers. Both agents' episodes end together. The same seed and the same actions
+    Each agent observes its arm's half of the observation of both. Its action has 6 numbers, 7 where there are grippers.
+    Both agents' episodes end together. The same seed and the same actions
     give the results of `dual_ur10.envs.api.dual_arm_env.DualArmEnv`, in every bit.
 
     Each agent's info holds the numbers of that of `DualArmEnv`; of an array with a leading axis of two arms (`q_rad`,

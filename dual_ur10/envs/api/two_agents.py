@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from gymnasium import spaces
 
-from dual_ur10.assets.tool import strokes_m
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.types import Array
 
@@ -31,21 +30,23 @@ def check_options(reward: str, keywords: Mapping[str, Any]) -> dict[str, Any]:
         raise UnknownNameError("reward", str(reward), get_args(RewardKind))
     if keywords.get("observation") in ("pixels", "both", "flat"):
         raise SettingsError(
-            f"observation is {keywords['observation']!r}: two agents observe numbers only, observation='state'. For "
-            "pixel observations use gym.make, for images of the scene render_mode='rgb_array'"
+            f"observation is {keywords['observation']!r}: two agents observe numbers only, observation='state' or "
+            "'goals'. For pixel observations use gym.make, for images of the scene render_mode='rgb_array'"
         )
     return {**keywords, **({"reward": reward} if reward == "sparse" else {})}
 
 
 def agent_spaces(core: Core) -> tuple[list[Any], list[Any]]:
     """Return the observation spaces and the action spaces of the agents, each a `gymnasium.spaces.Box`."""
-    layout = core.task.agent_layout_for(core.setup.settings)
-    layout = layout.with_stroke(max(strokes_m(core.config.equipment.tools)))
-    bounds = zip(layout.low.reshape(2, -1), layout.high.reshape(2, -1), strict=True)
-    dtype: Any = core.observation_space.dtype
-    observation = [spaces.Box(low.astype(dtype), high.astype(dtype), dtype=dtype.type) for low, high in bounds]
-    low, high = (each.reshape(2, -1) for each in (core.action_space.low, core.action_space.high))
-    return observation, [spaces.Box(low[arm], high[arm], dtype=np.float32) for arm in range(2)]
+    observation, action = map(_halves, (core.observation_space, core.action_space))
+    return observation, action
+
+
+def _halves(both: spaces.Box) -> list[Any]:
+    """Return the space of each arm's half of an array."""
+    dtype: Any = both.dtype
+    bounds = zip(both.low.reshape(2, -1), both.high.reshape(2, -1), strict=True)
+    return [spaces.Box(low, high, dtype=dtype.type) for low, high in bounds]
 
 
 class AgentSplitter:

@@ -18,7 +18,8 @@ from dual_ur10.envs.core.options import EnvOptions
 from dual_ur10.envs.core.randomization import apply_sample
 from dual_ur10.envs.core.sensing import Sensing
 from dual_ur10.envs.core.setup import EnvSetup, check_for_controllers, check_reset
-from dual_ur10.envs.tasks.task import Outcome, Task, Timing
+from dual_ur10.envs.tasks.observation_layout import ConciseView
+from dual_ur10.envs.tasks.task import Outcome, Timing
 from dual_ur10.errors import ActionError, CellFaulted, ClosedError, DualUR10Error, ResetNeededError
 from dual_ur10.sim2real.config.cell import Cell, CellConfig, CellState, CellStep
 from dual_ur10.sim2real.config.cell_kinds import make_cell
@@ -40,14 +41,14 @@ class Agents(NamedTuple):
     """Observations and rewards of the agents `left` and `right`, computed on demand.
 
     Attributes:
-        task: The task.
-        both: (n, size) observations of both agents together.
+        view: View of the task's fields; None: they are observed as they are.
+        both: (n, size) the task's observations of both agents together.
         terms: (n, 2, terms) reward terms of each agent, that of refusals included; None after a reset.
         weights: (terms,) weights of the reward terms.
         dtype: Type of observed numbers.
     """
 
-    task: Task[Any, Any]
+    view: ConciseView | None
     both: Array
     terms: Array | None
     weights: Array
@@ -56,12 +57,14 @@ class Agents(NamedTuple):
     @property
     def joint(self) -> Array:
         """Copy of the observations of both agents together, (n, size), in the type of observations."""
-        return self.both.astype(self.dtype)
+        found: Any = self.both if self.view is None else self.view(self.both)
+        joint: Array = found.astype(self.dtype, copy=self.view is None)
+        return joint
 
     @property
     def observations(self) -> Array:
-        """Each agent's own observation, (n, 2, size), in the type of observations."""
-        return self.task.observe_agents(self.both).astype(self.dtype, copy=False)
+        """Each agent's own observation, (n, 2, size), its half of that of both."""
+        return self.joint.reshape(len(self.both), 2, -1)
 
     @property
     def rewards(self) -> Array:
@@ -171,10 +174,12 @@ class Core:
         self.late_actions = 0
         self._sensing = Sensing(config, self._randomization, setup.timing.period_s, n)
         self._plant = config.perturbation.expanded(n)
-        layout, record = self.task.layout, setup.options.record
-        self._observation: Array = np.zeros((n, 2 * layout.size))
+        record = setup.options.record
+        self._observation: Array = np.zeros((n, 2 * self.task.layout.size))
+        self._view = self.task.concise_view() if setup.options.concise else None
         self.action_space = self._action_space()
-        self._dtype: np.dtype[Any] = np.dtype(setup.options.observation_dtype)
+        self._dtype = setup.options.dtype
+        layout = self.task.layout if self._view is None else self._view.layout
         low, high = layout.low.astype(self._dtype), layout.high.astype(self._dtype)
         self.observation_space = spaces.Box(low, high, dtype=self._dtype.type)
         if record is not None:
@@ -254,7 +259,7 @@ class Core:
         self._observation = self._observation.copy()
         self._observation[rows] = observation[rows]
         self._state, self._begun = state, True
-        self.agents = Agents(self.task, self._observation, None, self._weights, self._dtype)
+        self.agents = Agents(self._view, self._observation, None, self._weights, self._dtype)
         info: dict[str, Any] = self._measurements(state)
         randomized = {**start.sampled, **sampled}
         if randomized:
@@ -320,7 +325,7 @@ class Core:
             state = self._sensing(state)
             measured = measured if self._sensing.keeps_poses else self.task.measure(state)
         self._observation = observation = self.task.observe(state, measured, self.pipeline.adapter.commanded_q_rad)
-        self.agents = agents = Agents(self.task, observation, terms_of_arms, self._weights, self._dtype)
+        self.agents = agents = Agents(self._view, observation, terms_of_arms, self._weights, self._dtype)
         ended, ends = terminated | outcome.over, {}
         if np.count_nonzero(ended):
             cell.finish()

@@ -26,7 +26,7 @@ AS_ON_CONTROLLERS: Final = {"on_refusal": "terminate"}
 MOVE_TO_START: Final = "move_to_start"
 """Option of `reset` by which its caller consents to the motion to the start of an episode."""
 
-ObservationKind = Literal["state", "pixels", "both", "flat"]
+ObservationKind = Literal["state", "goals", "pixels", "both", "flat"]
 ObservationDtype = Literal["float64", "float32"]
 OnRefusal = Literal["brake", "terminate"]
 RewardForm = Literal["dense", "sparse"]
@@ -65,9 +65,12 @@ class EnvOptions:
             refusals do not end episodes. None: the task's.
         randomization: Variation from episode to episode: a name of
             `dual_ur10.envs.core.randomization.PRESETS`, a mapping of single values, or a `Randomization`.
-        observation: "state" gives an array; "pixels" a dict of images by camera; "both" a dict with `state` and
-            `pixels`; "flat" a dict of images by camera and `state`, as Stable-Baselines3's `MultiInputPolicy` needs it.
-        observation_dtype: Type of observed numbers, "float64" or "float32", of all interfaces.
+        observation: "state" gives an array of all numbers of the task; "goals" the few of them that lead to its goals,
+            float32 between -1 and 1, see `dual_ur10.envs.tasks.observation_layout.ConciseView`; "pixels" a dict of
+            images by camera; "both" a dict with `state` and `pixels`; "flat" a dict of images by camera and `state`, as
+            Stable-Baselines3's `MultiInputPolicy` needs it.
+        observation_dtype: Type of observed numbers, "float64" or "float32", of all interfaces. None: "float64", but
+            "float32" with `observation="goals"`, which has no other.
         cameras: Cameras of an observation with pixels: names of `dual_ur10.assets.visuals.cameras`.
         pixels_rate_hz: Images per second of an observation with pixels, the policy's rate divided by a whole number.
             None: a new image with every observation.
@@ -98,7 +101,7 @@ class EnvOptions:
     reward_weights: Mapping[str, float] | None = None
     randomization: object = "none"
     observation: ObservationKind = "state"
-    observation_dtype: ObservationDtype = "float64"
+    observation_dtype: ObservationDtype | None = None
     cameras: tuple[str, ...] = ("front",)
     pixels_rate_hz: float | None = None
     camera: str = "perspective"
@@ -136,8 +139,14 @@ class EnvOptions:
             raise UnknownNameError("action mode", str(self.action_mode), get_args(ActionMode))
         if self.observation not in get_args(ObservationKind):
             raise UnknownNameError("observation", str(self.observation), get_args(ObservationKind))
-        if self.observation_dtype not in get_args(ObservationDtype):
-            raise UnknownNameError("observation_dtype", str(self.observation_dtype), get_args(ObservationDtype))
+        if self.observation_dtype is not None and self.observation_dtype not in get_args(ObservationDtype):
+            raise UnknownNameError(
+                "observation_dtype", str(self.observation_dtype), [*get_args(ObservationDtype), "None"]
+            )
+        if self.concise and self.observation_dtype == "float64":
+            raise SettingsError(
+                "observation is 'goals', which is float32, and observation_dtype 'float64': leave observation_dtype out"
+            )
         if self.on_refusal is not None and self.on_refusal not in get_args(OnRefusal):
             raise UnknownNameError("on_refusal", str(self.on_refusal), [*get_args(OnRefusal), "None"])
         if self.reward not in get_args(RewardForm):
@@ -150,6 +159,16 @@ class EnvOptions:
         if not cameras or len(set(cameras)) < len(cameras):
             raise SettingsError(f"cameras are {cameras!r}: name at least one, and each once")
         object.__setattr__(self, "cameras", cameras)
+
+    @property
+    def concise(self) -> bool:
+        """True if the concise view of the task's fields is observed."""
+        return self.observation == "goals"
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Type of observed numbers."""
+        return np.dtype(self.observation_dtype or ("float32" if self.concise else "float64"))
 
     @property
     def robots(self) -> tuple[str, str] | None:

@@ -85,7 +85,7 @@ class Observer:
         self.core = core
         self.renderer = Renderer(options.camera, options.width, options.height, options.shadows, cameras=known)
         self._every = _periods(1 / core.timing.period_s, options.pixels_rate_hz)
-        self._kind = options.observation
+        self._kind = "state" if options.concise else options.observation
         self._age = np.zeros(core.n, dtype=np.int64)  # periods since the episode began
         self._images: Images = {}
         self._painters: list[_Painter] = []

@@ -54,6 +54,10 @@ _ARRIVED_M: Final = 0.01  # of the goal: there fingers close or open
 _ARRIVED: Final = 0.08  # the same of its rotation, as a chord
 _ASIDE: Final = 1.5  # m behind the grip for each m beside the line
 _SLACK_M: Final = 0.01  # of such an error, at which a goal is not behind its grip
+NEAR_M: Final = 0.01
+"""Length of which half is left when it is saturated."""
+NEAR: Final = 0.03
+"""The same of a chord."""
 # Distances and chords at which the terms of a nearness have fallen to their halves.
 _SCALES_M: Final = np.array([0.03, 0.3])
 _SCALES: Final = np.array([0.2, 1.0])
@@ -226,6 +230,19 @@ class ToolSteps(NamedTuple):
     nearness: Array
 
 
+class Nearby(NamedTuple):
+    """Commanded tools near their goals, in numbers between -1 and 1.
+
+    Attributes:
+        saturated: (n, 2, 4, 3) x / (`NEAR_M` + |x|) of the step from the commanded tool to its goal; x / (`NEAR` + |x|)
+            of its rotation; and the same two of the step from the tool to the commanded tool.
+        closeness: (n, 2, 2) `NEAR_M` / (`NEAR_M` + path left), and the same of the chord of the rotation.
+    """
+
+    saturated: Array
+    closeness: Array
+
+
 class GoalSteps:
     """Steps of both tools of n cells to their goals.
 
@@ -236,6 +253,11 @@ class GoalSteps:
         mounts: Mounts of the arms, for steps of tools at joint positions; None: tools are given as frames.
         in_bases: With `mounts`, give tools in the arms' own `base` frames instead of that of the cell.
         tcp_m: With `mounts`, distance of each tool from its flange.
+
+    Attributes:
+        tools: (n, 2, 12) frames of the tools of the last call.
+        actual: (n, 2, 12) with `mounts`, frames of the tools themselves, to be written before a call.
+        nearby: With `mounts`, results of the last call, which the next one writes anew.
     """
 
     def __init__(
@@ -251,7 +273,8 @@ class GoalSteps:
         _check_indices("frame of a goal", [each.frame for each in goals], frames + 1, TOOL)
         self._goals = len(goals)
         self.tools: Array = np.zeros((n, 2, 12))
-        """(n, 2, 12) frames of the tools of the last call."""
+        self.actual: Array = np.zeros((n, 2, 12))
+        self.nearby = Nearby(np.zeros((n, 2, 4, 3)), np.zeros((n, 2, 2)))
         self._frames, self._goal = np.zeros((n, frames, 12)), np.zeros((n, 2), dtype=np.int64)
         self._goal[:, 1] = len(goals) > 1
         self._rise_m, self._error_m = np.zeros((n, 2)), np.zeros((n, 2))
@@ -268,8 +291,12 @@ class GoalSteps:
                 tcp_m=np.array(tcp_m, dtype=np.float64),
                 base_m=np.zeros((2, 3)) if in_bases else both.base_m,
                 to_base=np.tile(np.eye(3), (2, 1, 1)) if in_bases else np.ascontiguousarray(both.rotation),
+                near_m=NEAR_M,
+                near=NEAR,
                 q_rad=self._q_rad,
                 tools=self.tools,
+                actual=self.actual,
+                **self.nearby._asdict(),
             )
         struct = Struct(
             "GoalSteps",
@@ -309,7 +336,7 @@ class GoalSteps:
         """Return the steps, in arrays that the next call writes anew.
 
         Args:
-            tools: (n, 2, 12) frames of the tools; with `mounts`, (n, 2, 6) joint positions.
+            tools: (n, 2, 12) frames of the tools; with `mounts`, (n, 2, 6) commanded joint positions.
             frames: (n, k, 12).
             goal: Numbers of the goals of both tools, (n,) each; None: as in the last call, or the first and the second.
             rise_m: Heights added to the goals, likewise; None: as in the last call, or none.
@@ -400,6 +427,7 @@ class Tracked(NamedTuple):
         apart_m: (n,) error of the vector between the flanges.
         closeness: (n, 2) mean over three scales s of s / (s + d), where d is the distance plus the chord on a lever.
         near: (n, 2, 3) 0.1^((x / margin)²) of distance, chord, and the error of the vector between the flanges.
+        other_flange: (n, 2, 7) pose of the other flange in the `base` frame of each arm: position and quaternion.
     """
 
     turn: Array
@@ -408,6 +436,7 @@ class Tracked(NamedTuple):
     apart_m: Array
     closeness: Array
     near: Array
+    other_flange: Array
 
 
 class Tracking:
@@ -415,17 +444,19 @@ class Tracking:
 
     Args:
         n: Number of cells.
-        quat: (2, 4) orientations of both references.
+        frames: Frames of both arms.
+        quat: (2, 4) orientations of both references in the arms' `base` frames.
         margins: Distance (m), chord and error between the flanges (m) at which `Tracked.near` is 0.1.
         scales_m: Scales of `Tracked.closeness`.
         lever_m: Lever with which it includes the chord.
     """
 
     def __init__(
-        self, n: int, quat: Array, margins: Sequence[float], scales_m: Sequence[float], lever_m: float
+        self, n: int, frames: Frames, quat: Array, margins: Sequence[float], scales_m: Sequence[float], lever_m: float
     ) -> None:
-        self._flange_m, self._flange_quat, self._reference_m = (np.zeros((n, 2, size)) for size in (3, 4, 3))
-        shapes = (2, 3), (2,), (2,), (), (2,), (2, 3)
+        self._flange_m, self._flange_base_m, self._reference_m = (np.zeros((n, 2, 3)) for _ in range(3))
+        self._flange_quat: Array = np.zeros((n, 2, 4))
+        shapes = (2, 3), (2,), (2,), (), (2,), (2, 3), (2, 7)
         self._found = Tracked(*[np.zeros((n, *shape)) for shape in shapes])
         struct = Struct(
             "Tracking",
@@ -434,16 +465,19 @@ class Tracking:
             scales_m=np.array(scales_m),
             margins=np.array(margins),
             reference_quat=np.ascontiguousarray(quat),
+            others=np.ascontiguousarray(frames.others_pose),
             flange_m=self._flange_m,
+            flange_base_m=self._flange_base_m,
             flange_quat=self._flange_quat,
             reference_m=self._reference_m,
             **self._found._asdict(),
         )
         self._compute = RowLoop("track", struct, n, 1)
 
-    def __call__(self, flange_m: Array, flange_quat: Array, reference_m: Array) -> Tracked:
-        """Return the errors of flanges from references, (n, 2, 3) in one frame; quaternions, (n, 2, 4), in any."""
-        self._flange_m[...], self._flange_quat[...], self._reference_m[...] = flange_m, flange_quat, reference_m
+    def __call__(self, flange_m: Array, in_bases: Poses, reference_m: Array) -> Tracked:
+        """Return the errors of flanges from references, (n, 2, 3) in the cell frame; orientations are in the bases."""
+        self._flange_m[...], self._reference_m[...] = flange_m, reference_m
+        self._flange_base_m[...], self._flange_quat[...] = in_bases
         self._compute()
         return Tracked(*[each.copy() for each in self._found])
 

@@ -8,10 +8,10 @@ from typing import Final
 
 import numpy as np
 
-from dual_ur10.errors import ActionError, UnknownNameError
+from dual_ur10.errors import ActionError, SettingsError, UnknownNameError
 from dual_ur10.kinematics.poses import Poses
 from dual_ur10.sim2real.config.cell import CellState
-from dual_ur10.types import Array, constant
+from dual_ur10.types import Array, Single, constant
 
 
 @dataclass(frozen=True)
@@ -25,6 +25,7 @@ class Field:
         unit: Type and unit, as in the table of the task's docstring.
         description: Quantity, as in that table.
         mujoco: Name in the MJCF model, with "{arm}" for the arm and "{other}" for the other one; "-": none.
+        concise: Units of the field in the concise view, `observation="goals"`; (): it is not in it. See `ConciseView`.
     """
 
     name: str
@@ -34,6 +35,11 @@ class Field:
     unit: str
     description: str
     mujoco: str = "-"
+    concise: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not all(unit > 0.0 for unit in self.concise):
+            raise SettingsError(f"concise of the field {self.name!r} is {self.concise!r}: units are above 0")
 
 
 _WIDTHS: Final = ("gripper_m", "other_gripper_m")
@@ -126,6 +132,65 @@ class ObservationLayout:
         ]
 
 
+_POSTURE: Final = "commanded_q_rad"
+
+
+class ConciseView:
+    """Concise view of observations, `observation="goals"`: few numbers between -1 and 1, of which none is saturated.
+
+    For each unit u of a field (`Field.concise`) it has x / (u + |x|) of each value x, which is about x / u near 0 and a
+    half at u. A small unit shows small values well, and a large one tells large ones apart. The first six are the
+    commanded joint positions from home, in units of 1 rad.
+
+    Args:
+        layout: Fields of an arm.
+        home_q_rad: (2, 6) home position of the joints.
+        task: Name of the task, for the error.
+
+    Attributes:
+        layout: Fields of the view. One with several units holds its values in the first unit, then in the next.
+
+    Raises:
+        SettingsError: The layout marks no field.
+    """
+
+    def __init__(self, layout: ObservationLayout, home_q_rad: Array, task: str) -> None:
+        if not any(field.concise for field in layout.fields):
+            raise SettingsError(
+                f"observation is 'goals', and {task} marks no field of its layout for it: give those that lead to its "
+                "goal their units, Field(..., concise=(0.1, 0.01)), or use observation='state'"
+            )
+        shown = [field for field in layout.fields if field.concise and field.name != _POSTURE]
+        shown = [replace(each, concise=(1.0,)) for each in layout.fields if each.name == _POSTURE] + shown
+        self.layout = ObservationLayout(*map(_shown, shown))
+        self._index = np.array([index for each in shown for index in layout.indices([each.name]) * len(each.concise)])
+        self._unit = np.concatenate([np.repeat(each.concise, each.size) for each in shown])
+        self._origin = np.zeros((2, self.layout.size))
+        if shown[0].name == _POSTURE:
+            self._origin[:, :6] = home_q_rad
+
+    def __call__(self, observation: Array) -> Single:
+        """Return the view, (n, 2 * layout.size), of observations, (n, 2 * size)."""
+        away = observation.reshape(len(observation), 2, -1).take(self._index, axis=2) - self._origin
+        away /= self._unit + np.abs(away)
+        return away.reshape(len(observation), -1).astype(np.float32)
+
+
+def _shown(field: Field) -> Field:
+    """Return a field as it is in the concise view."""
+    from_home = ", from home" if field.name == _POSTURE else ""
+    units = " and ".join(f"{unit:g}" for unit in field.concise)
+    return Field(
+        field.name,
+        field.size * len(field.concise),
+        -1.0,
+        1.0,
+        f"{field.unit} in {units}",
+        f"{field.description}{from_home}",
+        field.mujoco,
+    )
+
+
 def _range(part: slice) -> str:
     return f"{part.start}" if part.stop == part.start + 1 else f"{part.start}-{part.stop - 1}"
 
@@ -174,7 +239,7 @@ _JOINTS: Final = "{arm}/shoulder_pan_joint ... {arm}/wrist_3_joint"
 ARM_FIELDS: Final = (
     Field("q_rad", 6, -6.5, 6.5, "angle (rad)", "joint positions", _JOINTS),
     Field("qd_rad_s", 6, -10.0, 10.0, "speed (rad/s)", "joint speeds", _JOINTS),
-    Field("commanded_q_rad", 6, -6.5, 6.5, "angle (rad)", "commanded joint positions", _JOINTS),
+    Field(_POSTURE, 6, -6.5, 6.5, "angle (rad)", "commanded joint positions", _JOINTS),
     *pose_fields("flange_base", "the flange", "{arm}/flange", 2.0),
 )
 """First fields of every task."""

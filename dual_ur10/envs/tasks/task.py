@@ -11,9 +11,9 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar, cast
 import numpy as np
 
 from dual_ur10.assets.gains import STIFF, Gains
-from dual_ur10.assets.settings import Equipment
+from dual_ur10.assets.settings import Equipment, home_q_rad
 from dual_ur10.assets.tool import strokes_m
-from dual_ur10.envs.tasks.observation_layout import ObservationLayout
+from dual_ur10.envs.tasks.observation_layout import ConciseView, ObservationLayout
 from dual_ur10.errors import SettingsError
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.control.limits import MotionLimits
@@ -121,10 +121,13 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
         """Return the fields that an observation has with these settings."""
         return cls.layout
 
-    @classmethod
-    def agent_layout_for(cls, settings: SettingsT) -> ObservationLayout:
-        """Return the fields of each agent's own observation, which begin with those of its arm."""
-        return cls.layout_for(settings)
+    def concise_view(self) -> ConciseView:
+        """Return the view of observations with `observation="goals"`.
+
+        Raises:
+            SettingsError: The layout marks no field for it.
+        """
+        return ConciseView(self.layout, home_q_rad((self.cell.left, self.cell.right)), type(self).__name__)
 
     @classmethod
     def covered(cls, trained: SettingsT, settings: SettingsT) -> frozenset[str]:
@@ -151,11 +154,7 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
 
     @abstractmethod
     def observe(self, state: CellState, measured: MeasuredT, commanded_q_rad: Array) -> Array:
-        """Assemble the observations, (n, 2 * layout.size)."""
-
-    def observe_agents(self, observation: Array) -> Array:
-        """Return each agent's own observation, (n, 2, size), from joint observations, (n, size); for any n."""
-        return observation.reshape(len(observation), 2, -1)
+        """Assemble the observations, (n, 2 * layout.size). Each arm's half is that of its agent."""
 
     @abstractmethod
     def evaluate(self, state: CellState, measured: MeasuredT) -> Outcome:

@@ -114,8 +114,15 @@ def _core(header: Header) -> Core:
         raise RecordingError(f"it was recorded in {header.env_id!r:.80}: allowed are {', '.join(TASKS)}")
     left, right = mounts_of(header)
     profile = ServojProfile(family=header.family, **header.servoj[0])
-    keywords = {name: value for name, value in header.kwargs.items() if name not in _NOT_OF_TASK}
-    return Core(header.env_id, keywords | {"cell": CellConfig(left=left, right=right, servoj=profile)})
+    return Core(header.env_id, _of_task(header) | {"cell": CellConfig(left=left, right=right, servoj=profile)})
+
+
+def _of_task(header: Header) -> dict[str, Any]:
+    """Return the keywords of the run's environment that its task, its actions and its observations depend on."""
+    found = {name: value for name, value in header.kwargs.items() if name not in _NOT_OF_TASK}
+    if header.kwargs.get("observation") == "goals":
+        found["observation"] = "goals"
+    return found
 
 
 _NOT_OF_TASK: Final = ("cell", "arm", "confirm", "observation", "cameras", "pixels_rate_hz", "render_mode", "task")
@@ -128,7 +135,7 @@ def _spec(header: Header) -> Any:
     from dual_ur10.envs.api.agent_dict import AgentDictWrapper
 
     spec = copy.deepcopy(gym.spec(header.env_id))
-    spec.kwargs.update({name: value for name, value in header.kwargs.items() if name not in _NOT_OF_TASK})
+    spec.kwargs.update(_of_task(header))
     if header.latency_ticks:  # that of two controllers is not in their keywords
         spec.kwargs["action_latency_ticks"] = header.latency_ticks
     wrapper = AgentDictWrapper
@@ -149,8 +156,7 @@ def _buffer(minari: Any, core: Core, number: int, episode: Episode) -> Any:
     if episode.observation.shape[1:] != core.observation_space.shape:
         found, expected = episode.observation.shape[1:], core.observation_space.shape
         raise RecordingError(f"observations of episode {number} have shape {found}, expected {expected}")
-    own = np.stack([core.task.observe_agents(row[None])[0] for row in episode.observation])
-    own = own.astype(core.observation_space.dtype)
+    own = episode.observation.reshape(count + 1, 2, -1).astype(core.observation_space.dtype)
     action = episode.action.astype(np.float32).reshape(count, 2, -1)
     truncated = episode.truncated.copy()
     truncated[-1] |= not episode.terminated[-1]  # an episode that was cut off is truncated

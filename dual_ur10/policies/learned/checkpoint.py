@@ -142,7 +142,7 @@ def load(folder: str | os.PathLike[str], env: Any = None, **keywords: Any) -> Le
     else:
         view = view_of_env(env)
     _check(path, manifest, view)
-    return LearnedPolicy(manifest, weights, view)
+    return LearnedPolicy(manifest, weights)
 
 
 def read_manifest(folder: str | os.PathLike[str]) -> Manifest:
@@ -314,6 +314,7 @@ def _check_id(path: Path, manifest: Manifest, env: str | None) -> None:
 
 _REMEDIES: Final = {
     "env_id": "load a checkpoint of that task",
+    "view": "",
     "robot.model": "use these arms, or train with those of the environment",
     "rate.tick_s": "use controllers of that family, or train with it",
     "rate.period_ticks": "",
@@ -327,6 +328,7 @@ _REMEDIES: Final = {
 }
 
 _KEYWORD_OF: Final = {
+    "view": "observation",
     "rate.period_ticks": "policy_rate_hz",
     "rate.latency_ticks": "action_latency_ticks",
     "actions.mode": "action_mode",
@@ -343,10 +345,6 @@ def _check(path: Path, manifest: Manifest, view: EnvironmentView) -> None:
             f"{'.'.join(version.split('.')[:2])}, or train it anew"
         )
     here = view.signature
-    if made.env_id == here.env_id and manifest.agents != "joint" and manifest.network.layers[0] != view.agent_size:
-        raise CheckpointError(
-            f"{path}: the network has {manifest.network.layers[0]} inputs, each agent observes {view.agent_size}"
-        )
     misfits = list(_misfits(made, here))
     for name, then, now in misfits:
         remedy = _REMEDIES.get(name, "make the environment with the keywords of the training")

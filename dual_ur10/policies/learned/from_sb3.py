@@ -24,7 +24,6 @@ from dual_ur10.policies.learned.checkpoint import signature_of
 from dual_ur10.policies.learned.learned_policy import LearnedPolicy
 from dual_ur10.policies.learned.manifest import AgentsKind, Manifest
 from dual_ur10.policies.learned.network import Activation, Layer, NetworkShape, Normaliser
-from dual_ur10.policies.learned.signature import view_of, view_of_env
 
 log = logging.getLogger(__name__)
 
@@ -118,7 +117,6 @@ def from_sb3(
         around = importlib.import_module("stable_baselines3.common.vec_env").VecNormalize
     except ImportError:
         raise MissingExtraError("stable-baselines3", "train", "reading one of its files") from None
-    view = view_of(env, keywords) if isinstance(env, str) else view_of_env(env)
     for each in (path, vec_normalize):
         if each is not None and not os.path.isfile(each):
             raise CheckpointError(f"{os.fspath(each)} cannot be read: there is no such file")
@@ -133,12 +131,7 @@ def from_sb3(
     networks, manifest = converted(
         model, env, agents=agents, vec_normalize=normaliser, training={"sb3_sha256": sha256}, **keywords
     )
-    if agents == "shared" and manifest.network.layers[0] != view.agent_size:
-        raise CheckpointError(
-            f"the network has {manifest.network.layers[0]} inputs: each agent of {view.signature.env_id} observes "
-            f"{view.agent_size} numbers"
-        )
-    return LearnedPolicy(manifest, networks, view)
+    return LearnedPolicy(manifest, networks)
 
 
 def converted(

@@ -1,4 +1,4 @@
-"""Learned policies: networks, and the part of the observation that each of them receives."""
+"""Learned policies: networks, and the half of the observation that each of them receives."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from dual_ur10.errors import ActionError, UnknownNameError
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies.learned.manifest import Manifest
 from dual_ur10.policies.learned.network import Layer, Network
-from dual_ur10.policies.learned.signature import EnvironmentView
 from dual_ur10.types import Array
 
 Actions = NDArray[Any]
@@ -24,16 +23,15 @@ class LearnedPolicy:
     Args:
         manifest: Manifest of the checkpoint.
         networks: Layers of each network, in the order of `Manifest.names`.
-        view: Environment to act in, already checked against the manifest.
 
     Attributes:
         manifest: Manifest of the checkpoint.
         layers: Layers of each network.
     """
 
-    def __init__(self, manifest: Manifest, networks: Sequence[Sequence[Layer]], view: EnvironmentView) -> None:
+    def __init__(self, manifest: Manifest, networks: Sequence[Sequence[Layer]]) -> None:
         self.manifest, self.layers = manifest, networks
-        self._view, self._joint = view, manifest.agents == "joint"
+        self._joint = manifest.agents == "joint"
         self._size = manifest.signature.observation.shape[0]
         space = manifest.signature.action
         low, high = np.array(space.low, dtype=np.float32), np.array(space.high, dtype=np.float32)
@@ -71,7 +69,7 @@ class LearnedPolicy:
         if self._joint:
             action = self._networks[0](batch)
         else:
-            own = self._view.split(batch)
+            own = batch.reshape(len(batch), 2, -1)
             action = np.concatenate([network(own[:, side]) for side, network in enumerate(self._networks)], axis=1)
         return action.reshape(*given.shape[:-1], -1)
 

@@ -73,13 +73,12 @@ class Manifest(StrictJson):
         for each in self.normalisers:
             if len(each.mean) != inputs:
                 raise CheckpointError(f"a normaliser has {len(each.mean)} means for {inputs} inputs of the network")
-        wanted = self.signature.action.shape[0] // (1 if self.agents == "joint" else 2)
+        arms = 1 if self.agents == "joint" else 2
+        wanted, given = self.signature.action.shape[0] // arms, self.signature.observation.shape[0] // arms
         if outputs != wanted:
             raise CheckpointError(f"the network has {outputs} outputs: {self.agents} actions have {wanted} numbers")
-        if self.agents == "joint" and inputs != self.signature.observation.shape[0]:
-            raise CheckpointError(
-                f"the network has {inputs} inputs: observations have {self.signature.observation.shape[0]} numbers"
-            )
+        if inputs != given:
+            raise CheckpointError(f"the network has {inputs} inputs: {self.agents} observations have {given} numbers")
         for name, value, pattern, allowed in (
             ("dual_ur10 in versions", self.versions.get("dual_ur10", ""), _VERSION, "a version such as 1.2.3"),
             ("weights_sha256", self.weights_sha256, r"^([0-9a-f]{64})?$", "64 digits, 0 to f"),

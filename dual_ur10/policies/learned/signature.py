@@ -26,9 +26,15 @@ from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.control.adapter import ActionMode, ServojAdapter
 from dual_ur10.sim2real.control.servoj import ServojProfile
 from dual_ur10.sim2real.recording.header import built, field_types, plain
-from dual_ur10.types import Array
 
-OPTIONS: Final = ("policy_rate_hz", "action_mode", "action_latency_ticks", "compensate_lag", "randomization")
+OPTIONS: Final = (
+    "policy_rate_hz",
+    "action_mode",
+    "action_latency_ticks",
+    "compensate_lag",
+    "randomization",
+    "observation",
+)
 """Options of the environment that a signature keeps. Paths of cells and records are private."""
 
 _MOST_SIZE: Final = 4096
@@ -140,6 +146,7 @@ class EnvironmentSignature(StrictJson):
     Attributes:
         env_id: Id of the environment.
         kwargs: Keywords of the task and of `OPTIONS` that differ from their defaults.
+        view: "state", all numbers of the task, or "goals", its concise view.
         observation, action: Spaces of both arms together.
         rate: Timing of actions.
         actions: Meaning of actions.
@@ -151,6 +158,7 @@ class EnvironmentSignature(StrictJson):
 
     env_id: Text
     kwargs: Object
+    view: Literal["state", "goals"]
     observation: Space
     action: Space
     rate: Rate
@@ -165,7 +173,7 @@ class EnvironmentSignature(StrictJson):
 
 
 class EnvironmentView:
-    """Signature of an environment, and the split of its observations into agents.
+    """Signature of an environment, and the places of fields in its observations.
 
     Args:
         setup: Resolved keywords of the environment.
@@ -174,20 +182,28 @@ class EnvironmentView:
 
     Attributes:
         setup: Resolved keywords of the environment.
+        layout: Fields of an arm in an observation.
         signature: Properties that a policy depends on.
     """
 
     def __init__(self, setup: EnvSetup, task: Task[Any, Any], adapter: ServojAdapter) -> None:
-        self.setup, self._task, config = setup, task, setup.config
+        self.setup, config = setup, setup.config
         low, high = (each.reshape(-1).astype(np.float32) for each in adapter.action_bounds)
-        layout = task.layout
+        concise = setup.options.concise
+        self.layout = layout = task.concise_view().layout if concise else task.layout
         steps = adapter.mode == "joint_delta"
         step_rad = tuple((np.asarray(task.limits.speed_rad_s) * adapter.period_s).tolist()) if steps else ()
         mounts = (config.left, config.right)
         self.signature = EnvironmentSignature(
             env_id=setup.env_id,
             kwargs=_kwargs(setup),
-            observation=Space((2 * layout.size,), "float64", tuple(layout.low.tolist()), tuple(layout.high.tolist())),
+            view="goals" if concise else "state",
+            observation=Space(
+                (2 * layout.size,),
+                "float32" if concise else "float64",
+                tuple(layout.low.tolist()),
+                tuple(layout.high.tolist()),
+            ),
             action=Space((len(low),), "float32", tuple(low.tolist()), tuple(high.tolist())),
             rate=Rate(config.servoj.tick_s, setup.ticks, int(setup.latency_ticks)),
             actions=Actions(adapter.mode, adapter.gripper, bool(adapter.compensate_lag), step_rad),
@@ -203,27 +219,21 @@ class EnvironmentView:
     @property
     def agent_size(self) -> int:
         """Size of each agent's observation."""
-        return self.setup.task_type.agent_layout_for(self.setup.settings).size
+        return self.layout.size
 
     def indices(self, names: Iterable[str], *, joint: bool) -> list[int]:
         """Return the positions of fields in the observation of a network.
 
         Args:
-            names: Names of fields. One that a setting of the task leaves out, or that only agents have, has none.
+            names: Names of fields. One that a setting of the task or the view leaves out has none.
             joint: The network observes both arms; otherwise one agent.
 
         Raises:
             UnknownNameError: The task has no such field.
         """
-        task, settings = self.setup.task_type, self.setup.settings
-        layout = task.layout_for(settings) if joint else task.agent_layout_for(settings)
-        absent = {*task.layout.names, *task.agent_layout_for(settings).names} - {*layout.names}
-        found = layout.indices(name for name in names if name not in absent)
-        return [arm * layout.size + index for arm in range(2 if joint else 1) for index in found]
-
-    def split(self, observation: Array) -> Array:
-        """Return each agent's own observation, (n, 2, agent_size), from observations of both, (n, size)."""
-        return self._task.observe_agents(observation)
+        absent = {*self.setup.task_type.layout.names} - {*self.layout.names}
+        found = self.layout.indices(name for name in names if name not in absent)
+        return [arm * self.layout.size + index for arm in range(2 if joint else 1) for index in found]
 
 
 def view_of(env_id: str, keywords: Mapping[str, Any]) -> EnvironmentView:
@@ -277,6 +287,7 @@ def _kwargs(setup: EnvSetup) -> dict[str, object]:
     options, settings = setup.options, setup.settings
     found: dict[str, Any] = {name: getattr(options, name) for name in OPTIONS}
     found["action_latency_ticks"] = int(setup.latency_ticks)
+    found["observation"] = "goals" if options.concise else EnvOptions.observation
     if found["randomization"] is None or isinstance(found["randomization"], Randomization):
         found["randomization"] = dataclasses.asdict(resolve_randomization(found["randomization"]))
     default = EnvOptions()

@@ -196,16 +196,11 @@ def read_dataset(dataset_id: str, view: EnvironmentView) -> tuple[Single, Single
     except Exception as error:  # Minari raises what its storage does
         raise DatasetError(f"the dataset {dataset_id!r:.120} cannot be read: {error!s:.200}") from error
     _check(dataset_id, spec, view)
-    size = view.signature.observation.shape[0] // 2
     observations, actions = [], []
     try:
         for episode in dataset.iterate_episodes(_chosen(dataset_id, dataset)):
             arms = np.stack([episode.observations[arm] for arm in ARMS], axis=1)[:-1]
-            # Each agent's observation begins with its half of the joint one.
-            joint = arms[..., :size].reshape(len(arms), -1)
-            if not np.allclose(view.split(joint), arms, atol=1e-6):
-                raise DatasetError(f"{dataset_id}: an agent's observation is not its part of the joint one")
-            observations.append(joint.astype(np.float32))
+            observations.append(arms.reshape(len(arms), -1).astype(np.float32))
             actions.append(np.concatenate([episode.actions[arm] for arm in ARMS], axis=1).astype(np.float32))
     except (KeyError, TypeError, ValueError, IndexError, OSError) as error:
         if isinstance(error, DatasetError):
@@ -214,10 +209,11 @@ def read_dataset(dataset_id: str, view: EnvironmentView) -> tuple[Single, Single
     if not observations:
         raise DatasetError(f"{dataset_id} has no episodes")
     observation, action = np.concatenate(observations), np.concatenate(actions)
-    if action.shape[1] != view.signature.action.shape[0] or not (
+    found, expected = [observation.shape[1], action.shape[1]], view.signature
+    if found != [expected.observation.shape[0], expected.action.shape[0]] or not (
         np.isfinite(observation).all() and np.isfinite(action).all()
     ):
-        raise DatasetError(f"{dataset_id} has actions of another size, or numbers that are not finite")
+        raise DatasetError(f"{dataset_id} has observations or actions of another size, or numbers that are not finite")
     return observation, action
 
 

@@ -33,7 +33,7 @@ from dual_ur10.policies.learned.learned_policy import LearnedPolicy
 from dual_ur10.policies.learned.manifest import Manifest
 from dual_ur10.policies.learned.network import NetworkShape
 from dual_ur10.policies.learned.schema import StrictJson
-from dual_ur10.policies.learned.signature import EnvironmentView, view_of
+from dual_ur10.policies.learned.signature import EnvironmentView
 from dual_ur10.policies.training import state
 from dual_ur10.policies.training.progress import Check, draw_curve
 from dual_ur10.policies.training.settings import CHECK_SEED, Imitation, Training
@@ -198,9 +198,8 @@ class TrainingFolder:
 
     def policy_of(self, networks: Networks, manifest: Manifest) -> LearnedPolicy:
         """Return the policy with these weights, in the environment of the training."""
-        view = view_of(self.training.env_id, self.training.keywords)
         layers = [[(np.asarray(w, np.float32), np.asarray(b, np.float32)) for w, b in each] for each in networks]
-        return LearnedPolicy(manifest, layers, view)
+        return LearnedPolicy(manifest, layers)
 
     def check_progress(self, networks: Networks, manifest_of: ManifestOf, steps: int, seconds: float) -> None:
         """Evaluate a policy on episodes that nothing is learned from, and save it if it is the best so far.

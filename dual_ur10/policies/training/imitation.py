@@ -216,7 +216,7 @@ class Imitator:
     def _split(self, observation: Single, action: Single) -> list[tuple[Single, Single]]:
         if self._asked.agents == "joint":
             return [(observation, action)]
-        own = self._view.split(observation.astype(np.float64)).astype(np.float32)
+        own = observation.reshape(len(observation), 2, -1)
         arms = action.reshape(len(action), 2, -1)
         if self._asked.agents == "shared":
             return [(own.reshape(2 * len(own), -1), arms.reshape(2 * len(arms), -1))]

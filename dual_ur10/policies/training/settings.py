@@ -12,6 +12,7 @@ from pydantic import Discriminator, Field, Tag
 
 from dual_ur10.envs.api.two_agents import RewardKind
 from dual_ur10.envs.core.options import split_keywords
+from dual_ur10.envs.tasks.goal_fields import GOAL_FIELDS
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.ids import TASKS, env_id_of, load_object
 from dual_ur10.policies.learned import schema
@@ -198,8 +199,10 @@ _SINE_UNSEEN: Final = (
     "reference_base_m",
     "ahead_base_m",
     "rotation",
+    "other_flange_base_m",
+    "other_flange_base_quat",
 )
-_ONE_ARM_UNSEEN: Final = (*_SINE_UNSEEN, "other_flange_base_m", "other_flange_base_quat")
+_GOALS: Final = tuple(field.name for field in GOAL_FIELDS)
 _CARRY_UNSEEN: Final = (
     *_MOTION_FIELDS,
     "gripper_m",
@@ -257,7 +260,7 @@ SINE_TRACKING: Final = TaskSettings(
         gae_lambda=0.9,
         first_std=0.1,
         last_std=0.006,
-        unseen=_ONE_ARM_UNSEEN,
+        unseen=_SINE_UNSEEN,
         reward="individual",
     ),
     sac=Reinforcement(
@@ -269,7 +272,7 @@ SINE_TRACKING: Final = TaskSettings(
         first_std=0.1,
         last_std=0.006,
         gradient_steps=16,
-        unseen=_ONE_ARM_UNSEEN,
+        unseen=_SINE_UNSEEN,
         reward="individual",
     ),
     # It sees the commanded positions, and the step from there to the reference, which is all that the action needs.
@@ -280,7 +283,7 @@ SYNC_CARRY: Final = TaskSettings(
     steps={"ppo": 1_000_000, "sac": 200_000, "bc": 57_600, "dagger": 230_400},
     # It sees the commanded positions, the goal of the bar and the time. The fingers close by time alone: a network
     # that saw them kept closing after an accidental early start.
-    imitation=Imitation(noise=0.05, unseen=_CARRY_UNSEEN),
+    imitation=Imitation(noise=0.05, unseen=(*_CARRY_UNSEEN, *_GOALS)),
     from_scratch={"action_mode": "tcp_delta", "randomization": "none", "action_latency_ticks": 0},
     agents="shared",
     ppo=dataclasses.replace(
@@ -305,7 +308,7 @@ HANDOVER: Final = TaskSettings(
         _TO_GOALS, episode_steps=500, batch_size=4096, epochs=10, last_std=0.05, unseen=_HANDOVER_UNSEEN
     ),
     # It sees the commanded positions, the fingers, the block, its goal and the role.
-    imitation=Imitation(unseen=(*_MOTION_FIELDS, "progress")),
+    imitation=Imitation(unseen=(*_MOTION_FIELDS, "progress", *_GOALS)),
     # Rounds differ by a few percent, which 32 episodes do not tell.
     checks=128,
 )
@@ -429,8 +432,10 @@ def check_simulated(keywords: Mapping[str, Any], purpose: str, remedy: str) -> N
         raise SettingsError(
             f"the cell {options.cell!s:.120} is not simulated, and {purpose} is in simulation: {remedy}"
         )
-    if options.observation != "state":
-        raise SettingsError(f"observation is {options.observation!r:.40}: {purpose} needs observation='state'")
+    if options.observation not in ("state", "goals"):
+        raise SettingsError(
+            f"observation is {options.observation!r:.40}: {purpose} needs observation='state' or 'goals'"
+        )
 
 
 def defaults(

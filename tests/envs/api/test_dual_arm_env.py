@@ -20,7 +20,7 @@ from dual_ur10.envs import dm_env, parallel_env
 from dual_ur10.envs.core.setup import load_task
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.ur10 import JOINTS, NOMINAL_DH
+from dual_ur10.kinematics.ur10 import ARMS, JOINTS, NOMINAL_DH
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.config.perturbation import Perturbation
 from tests.soak import scaled
@@ -206,8 +206,8 @@ def test_many_episodes_and_environments_leave_nothing_behind():
 def test_wrappers_of_gymnasium():
     env = FrameStackObservation(RescaleAction(gym.make(SINE), np.float32(-0.5), np.float32(0.5)), 3)
     observation, _ = env.reset(seed=0)
-    assert observation.shape == (3, 80)
-    assert env.step(env.action_space.sample())[0].shape == (3, 80)
+    assert observation.shape == (3, 94)
+    assert env.step(env.action_space.sample())[0].shape == (3, 94)
 
 
 def test_record_video(tmp_path):
@@ -257,7 +257,10 @@ def test_docstring_tables_match_the_spaces(name):
     opening = "-1 is 0, 1 is 0.085 (m)"
     assert all(row[6] == (opening if "gripper" in row[4] else f"fraction of {step:.3f} (rad)") for row in rows)
     lines = task.__doc__.split("## Observation Space")[1].split("## Rewards")[0].splitlines()
-    assert [line.strip() for line in lines if re.match(r"\s*\| \d", line)] == task.layout.table()
+    concise = env.task.concise_view().layout
+    rows = [*task.layout.table(), *concise.table()]
+    assert [line.strip() for line in lines if re.match(r"\s*\| \d", line)] == rows
+    assert f"Box(-1.0, 1.0, ({2 * concise.size},), float32)" in "".join(lines)
     for field in task.layout.fields:
         for each in field.mujoco.format(arm="right", other="left").split(" ... "):
             assert each in names | {"-"}
@@ -417,24 +420,34 @@ def test_the_horizon_follows_the_settings_and_serves_gymnasiums_wrapper():
     assert gym.make(SINE, max_episode_steps=4).spec.max_episode_steps == 4
 
 
+@pytest.mark.parametrize(
+    "keywords", [{"observation_dtype": "float32"}, {"observation": "goals"}], ids=["single", "goals"]
+)
 @pytest.mark.parametrize("env_id", IDS)
-def test_single_precision_is_the_same_numbers_rounded_in_every_interface(env_id):
-    single, keywords = np.float32, {"observation_dtype": "float32"}
+def test_every_interface_rounds_and_shows_the_same_numbers(env_id, keywords):
+    single = np.float32
     control, env, dm = gym.make(env_id), gym.make(env_id, **keywords), dm_env(env_id, seed=3, **keywords)
     envs = gym.make_vec(env_id, num_envs=1, **keywords)
     two, two_control = parallel_env(env_id, **keywords), parallel_env(env_id)
     found = {"gym": env.reset(seed=3)[0], "dm_env": dm.reset().observation, "vector": envs.reset(seed=3)[0][0]}
     expected, agents, agents_control = control.reset(seed=3)[0], two.reset(seed=3)[0], two_control.reset(seed=3)[0]
+    view = control.unwrapped.task.concise_view()
+
+    def shown(both):
+        return both.astype(single) if "observation_dtype" in keywords else view(both[None])[0]
+
     assert env.observation_space.dtype == envs.single_observation_space.dtype == dm.observation_spec().dtype == single
     for action in actions(env, 3):
         by_agent = dict(zip(two.agents, action.reshape(2, -1), strict=True))
         for name, observation in {**found, "state": two.state()}.items():
             assert observation.dtype == single, name
-            assert np.array_equal(observation, expected.astype(single)), name
+            assert np.array_equal(observation, shown(expected)), name
         for agent, observation in agents.items():
             assert observation in two.observation_space(agent)
             assert observation.dtype == two.observation_space(agent).dtype == single
-            assert np.array_equal(observation, agents_control[agent].astype(single))
+            half = shown(two_control.state()).reshape(2, -1)[ARMS.index(agent)]
+            assert np.array_equal(observation, half)
+            assert np.array_equal(agents_control[agent], two_control.state().reshape(2, -1)[ARMS.index(agent)])
         expected, *rest = control.step(action)
         found = {
             "gym": env.step(action)[0],

@@ -10,7 +10,7 @@ import pytest
 from dual_ur10 import CellConfig
 from dual_ur10.envs.core.options import OPTION_NAMES
 from dual_ur10.envs.core.setup import EnvSetup
-from dual_ur10.errors import UnknownKeywordError, UnknownNameError
+from dual_ur10.errors import SettingsError, UnknownKeywordError, UnknownNameError
 from dual_ur10.sim2real.config.perturbation import Perturbation
 
 KEYWORDS = {
@@ -101,3 +101,10 @@ def test_an_unknown_keyword_is_found_out_as_of_any_function(make):
         assert isinstance(error, UnknownKeywordError)
         assert (error.found, error.allowed[:2]) == ("amplitud", ("axis", "amplitude_m"))
         assert str(error).endswith(repr(OPTION_NAMES[-1]))  # without what Gymnasium appends
+
+
+def test_the_concise_view_is_of_single_precision():
+    assert EnvSetup.resolve("Handover", {"observation": "goals"}).options.dtype == np.float32
+    EnvSetup.resolve("Handover", {"observation": "goals", "observation_dtype": "float32"})
+    with pytest.raises(SettingsError, match="observation_dtype 'float64': leave observation_dtype out"):
+        EnvSetup.resolve("Handover", {"observation": "goals", "observation_dtype": "float64"})

@@ -1,4 +1,4 @@
-"""Goals of both tools of a handover: those that agents observe are those that the reward leads to."""
+"""Goals of both tools of a handover: those that are observed are those that the reward leads to."""
 
 from __future__ import annotations
 
@@ -21,26 +21,21 @@ def begun(seeds=(0,), **keywords):
     return core, observation
 
 
-def own_fields(core, observation):
-    """Return what agents observe by its names, with the measured joints in place of the commanded ones."""
-    both = observation.copy()
-    arms = core.task.layout.split(both)
-    arms["commanded_q_rad"][...] = arms["q_rad"]
-    own = core.task.observe_agents(both)
-    layout = core.task.agent_layout_for(core.task.settings)
-    return {name: own[..., layout.indices([name])] for name in layout.names}
+def fields_of(core, state=None, commanded_q_rad=None):
+    """Return what is observed of a state, by its names, with the measured joints as the commanded ones."""
+    state = core._state if state is None else state
+    commanded = state.q_rad if commanded_q_rad is None else commanded_q_rad
+    return core.task.layout.split(core.task.observe(state, core.task.measure(state), commanded))
 
 
 def goals_now(core, measured):
     """Return the goals of the grippers, (n, 2), the steps, and grips between fingers, of the reward of this instant."""
-    goals, grasped = core.task._goals, measured.grasped
-    moved_m, chord, _ = goals.to_block(grasped.frames)
-    found = goals(grasped, grasped.tools, moved_m, chord)
-    return np.stack(np.broadcast_arrays(*found.closes), axis=-1).reshape(-1, 2), found.steps, grasped.between
+    steps, closes = core.task._goals(measured.now, measured.grasped)
+    return np.array(closes).T, steps, measured.grasped.between
 
 
 @pytest.mark.parametrize("giver", ["left", "right"])
-def test_agents_observe_the_goals_of_the_reward(giver):
+def test_the_goals_of_the_reward_are_observed(giver):
     core, observation = begun((0, 1), giver=giver)
     script, passed, closing = policies.load("scripted", "DualUR10/Handover-v0", giver=giver), set(), set()
     while True:
@@ -48,7 +43,7 @@ def test_agents_observe_the_goals_of_the_reward(giver):
         observation = step.observation
         if step.terminated.any() or step.truncated.any():
             break
-        fields = own_fields(core, observation)
+        fields = fields_of(core)
         measured = core.task.measure(core._state)
         found, steps, between = goals_now(core, measured)
         passed.add(int(step.info["stage"][0]))
@@ -65,8 +60,8 @@ def test_agents_observe_the_goals_of_the_reward(giver):
 
 
 def test_goals_at_the_start_are_above_the_grip_and_at_home():
-    core, observation = begun(range(8), giver="random")
-    fields, state = own_fields(core, observation), core._state
+    core, _ = begun(range(8), giver="random")
+    fields, state = fields_of(core), core._state
     rows, giver = np.arange(8), core.task.first
     tool = state.flange_m + quat_to_matrix(state.flange_quat)[..., 2] * TOOL.tcp_m
     frames = Frames((core.task.cell.left, core.task.cell.right))
@@ -90,11 +85,8 @@ def test_a_rotated_block_is_not_presented(giver, turned_rad, found_m):
     block = core.cell._physics._props.objects["block"]
     block.position_m[0], block.quat[0] = MEETING_M, quat_multiply(turn, presented_quat(giver))
     core.step(np.zeros((1, 14), dtype=np.float32))
-    goals, grasped = core.task._goals, core.task.measure(core._state).grasped
-    moved_m, chord, _ = goals.to_block(grasped.frames)
-    assert goals(grasped, grasped.tools, moved_m, chord).off_m == pytest.approx(
-        found_m, abs=0.015
-    )  # it falls for a moment
+    now = core.task.measure(core._state).now
+    assert now.off_m == pytest.approx(found_m, abs=0.015)  # it falls for a moment
 
 
 LYING = Poses(np.array([0.02, 0.5, 0.02]), np.array([1.0, 0.0, 0.0, 0.0]))
@@ -113,28 +105,22 @@ def behind(grip):
     return compose(grip, BEHIND)
 
 
-def goals_of(core, observation, block, holders, widths):
+def goals_of(core, block, holders, widths):
     """Return poses of the goals in the cell frame, goals of the grippers, and commanded tools.
 
     Args:
         block: Pose of the block. `holders` are the arms whose tools are at their grips of it, with fingers as in
-            `widths`; commanded joints, and other arms, are those of `observation`.
+            `widths`; commanded joints, and other arms, are those of the start.
     """
-    both, frames = observation.copy(), Frames((core.task.cell.left, core.task.cell.right))
-    arms = core.task.layout.split(both[0])
-    at_home = Poses(
-        frames.position_to_cell(arms["flange_base_m"].copy()), frames.quat_to_cell(arms["flange_base_quat"].copy())
-    )
+    state = core._state
+    position, quat = state.flange_m.copy(), state.flange_quat.copy()
     flanges = flanges_of(compose(Poses(*(np.stack([each, each]) for each in block)), GRIPS[0]))
-    arms["gripper_m"][:, 0] = widths
     for arm in holders:
-        arms["flange_base_m"][arm] = frames.position_to_base(flanges.position_m)[arm]
-        arms["flange_base_quat"][arm] = frames.quat_to_base(flanges.quat)[arm]
-    for name, pose in (("block", block), ("target", TARGET)):
-        arms[f"{name}_base_m"][...] = frames.position_to_base(np.stack([pose.position_m] * 2))
-        arms[f"{name}_base_quat"][...] = frames.quat_to_base(np.stack([pose.quat] * 2))
-    layout = core.task.agent_layout_for(core.task.settings)
-    own = {name: core.task.observe_agents(both)[0][:, layout.indices([name])] for name in layout.names}
+        position[0, arm], quat[0, arm] = flanges.position_m[arm], flanges.quat[arm]
+    objects = {name: Poses(*(each[None] for each in pose)) for name, pose in (("block", block), ("target", TARGET))}
+    held = state._replace(flange_m=position, flange_quat=quat, gripper_m=np.array([widths]), objects=objects)
+    own = {name: value[0] for name, value in fields_of(core, held, state.q_rad).items()}
+    at_home = Poses(state.flange_m[0], state.flange_quat[0])
     tools = compose(at_home, Poses(np.array([0.0, 0.0, TOOL.tcp_m]), np.array([1.0, 0.0, 0.0, 0.0])))
     half = own["goal_rotation"] / 2
     turn = np.concatenate([np.sqrt(1.0 - (half**2).sum(axis=1, keepdims=True)), half], axis=1)
@@ -158,8 +144,8 @@ def goals_of(core, observation, block, holders, widths):
     ],
 )
 def test_each_phase_has_its_goals(block, holders, widths, expected, opening):
-    core, observation = begun(object_range_m=0.0)
-    found, opens, tools = goals_of(core, observation, block, holders, widths)
+    core, _ = begun(object_range_m=0.0)
+    found, opens, tools = goals_of(core, block, holders, widths)
     for arm, goal in enumerate(expected):
         if goal is STAYS:
             goal = Poses(tools.position_m[arm], tools.quat[arm])
@@ -171,13 +157,10 @@ def test_each_phase_has_its_goals(block, holders, widths, expected, opening):
 
 
 def test_a_goal_half_a_turn_away_is_not_taken_for_reached():
-    core, observation = begun()
-    both, frames = observation.copy(), Frames((core.task.cell.left, core.task.cell.right))
-    arms = core.task.layout.split(both[0])
-    arms["commanded_q_rad"][...] = arms["q_rad"]
-    tool = frames.quat_to_cell(arms["flange_base_quat"])[0]
-    half_turned = quat_multiply(tool, np.array([0.0, 0.0, 0.0, 1.0]))
+    core, _ = begun()
+    state = core._state
+    half_turned = quat_multiply(state.flange_quat[0, 0], np.array([0.0, 0.0, 0.0, 1.0]))
     block = quat_multiply(half_turned, quat_conjugate(GRIPS[0].quat[0]))
-    arms["block_base_quat"][...] = frames.quat_to_base(np.stack([block] * 2))
-    index = core.task.agent_layout_for(core.task.settings).indices(["goal_rotation"])
-    assert np.linalg.norm(core.task.observe_agents(both)[0, 0, index]) == pytest.approx(2.0, abs=1e-6)
+    turned = state.objects["block"]._replace(quat=block[None])
+    fields = fields_of(core, state._replace(objects={**state.objects, "block": turned}))
+    assert np.linalg.norm(fields["goal_rotation"][0, 0]) == pytest.approx(2.0, abs=1e-6)

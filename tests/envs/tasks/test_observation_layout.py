@@ -1,10 +1,8 @@
 import numpy as np
 import pytest
 
-from dual_ur10.envs.core.setup import load_task
-from dual_ur10.envs.tasks.observation_layout import Field, ObservationLayout
-from dual_ur10.errors import ActionError, UnknownNameError
-from dual_ur10.ids import ENV_IDS
+from dual_ur10.envs.tasks.observation_layout import ConciseView, Field, ObservationLayout
+from dual_ur10.errors import ActionError, SettingsError, UnknownNameError
 
 LAYOUT = ObservationLayout(
     Field("q_rad", 2, -3.0, 4.0, "angle (rad)", "joint positions", "{arm}/a ... {other}/b"),
@@ -50,9 +48,37 @@ def test_batches_have_the_shape_of_observations():
             LAYOUT.batch(np.zeros(shape), "Task")
 
 
-@pytest.mark.parametrize("name", ENV_IDS)
-def test_agents_observe_the_fields_of_their_arm_first(name):
-    task = load_task(name)
-    settings = task.settings_type()
-    own = task.agent_layout_for(settings)
-    assert own.fields[: len(task.layout.fields)] == task.layout_for(settings).fields
+ARM = Field("commanded_q_rad", 6, -6.5, 6.5, "angle (rad)", "commanded joint positions")
+STEP = Field("step_m", 2, -9.0, 9.0, "position (m)", "step", concise=(0.1, 0.01))
+ROLE = Field("role", 1, -1.0, 1.0, "sign", "role", concise=(0.2,))
+HOME_RAD = np.stack([np.arange(6.0), -np.arange(6.0)])
+
+
+def test_the_concise_view_scales_each_marked_field_by_its_units():
+    layout = ObservationLayout(ROLE, ARM, Field("hidden", 3, -1.0, 1.0, "ratio", "hidden"), STEP)
+    view = ConciseView(layout, HOME_RAD, "Task")
+    assert view.layout.names == ("commanded_q_rad", "role", "step_m")
+    assert view.layout.size == 6 + 1 + 4
+    values = {
+        "role": np.array([[[1.0], [-1.0]]]),
+        "commanded_q_rad": HOME_RAD[None] + np.array([[[1.0], [-3.0]]]),
+        "hidden": np.full((1, 2, 3), 7.0),
+        "step_m": np.array([[[0.1, -0.01], [8.9, 0.0]]]),
+    }
+    found = view(layout.join(values))
+    assert found.dtype == np.float32
+    assert found.shape == (1, 22)
+    fields = view.layout.split(found)
+    assert fields["commanded_q_rad"][0] == pytest.approx(np.array([[0.5] * 6, [-0.75] * 6]))
+    assert fields["role"][0, :, 0] == pytest.approx([1.0 / 1.2, -1.0 / 1.2])
+    # All values in the first unit, then all in the second.
+    near = [[0.5, -0.01 / 0.11, 0.1 / 0.11, -0.5], [8.9 / 9.0, 0.0, 8.9 / 8.91, 0.0]]
+    assert fields["step_m"][0] == pytest.approx(np.array(near))
+    assert np.abs(found).max() < 1.0
+
+
+def test_a_layout_that_marks_no_field_has_no_concise_view():
+    with pytest.raises(SettingsError, match=r"'goals', and Lift marks no field.*concise=\(0\.1, 0\.01\).*'state'"):
+        ConciseView(ObservationLayout(ARM, LAYOUT.fields[0]), HOME_RAD, "Lift")
+    with pytest.raises(SettingsError, match=r"'step_m' is \(0\.1, 0\.0\): units are above 0"):
+        Field("step_m", 2, -9.0, 9.0, "position (m)", "step", concise=(0.1, 0.0))

@@ -1,6 +1,8 @@
-"""Goals of both tools of a carry: what agents observe of them follows from the poses in the joint observation."""
+"""Goals of both tools of a carry: what is observed of them follows from the measured poses."""
 
 from __future__ import annotations
+
+import copy
 
 import numpy as np
 import pytest
@@ -38,24 +40,37 @@ def _step(move_m, turn_rad):
     return Poses(np.array(move_m), quat_from_rotvec(np.array(turn_rad)))
 
 
+class Ahead:
+    """Path whose reference is ahead, at all times."""
+
+    def __init__(self, path, ahead):
+        self.duration_s, self.ahead = path.duration_s, ahead
+
+    def __call__(self, time_s, start):
+        return Poses(*(np.broadcast_to(each, (*time_s.shape, len(each))) for each in self.ahead))
+
+
 def observed(tools, width_m, ahead, bar=BAR, **keywords):
-    """Return the fields of both agents, (2, ...), for tools that are where they were commanded to be."""
+    """Return the fields of both arms, (2, ...), for tools that are where they were commanded to be."""
     core = Core("SyncCarry", keywords, n=1)
-    observation, _ = core.reset([np.random.default_rng(0)])
-    mounts = core.task.cell.left, core.task.cell.right
-    frames, arms = Frames(mounts), core.task.layout.split(observation[0])
-    flanges = flanges_of(tools)
+    core.reset([np.random.default_rng(0)])
+    task, state = core.task, core._state
+    mounts = task.cell.left, task.cell.right
+    frames, flanges = Frames(mounts), flanges_of(tools)
     position, quat = frames.position_to_base(flanges.position_m), frames.quat_to_base(flanges.quat)
-    arms["flange_base_m"][...], arms["flange_base_quat"][...] = position, quat
-    for arm, mount in enumerate(mounts):
-        arms["commanded_q_rad"][arm] = nearest(position[arm], quat_to_matrix(quat[arm]), arms["q_rad"][arm], mount.dh)
-    if "gripper_m" in arms:
-        arms["gripper_m"][...] = width_m
-    for name, pose in (("bar", bar), ("ahead", ahead)):
-        arms[f"{name}_base_m"][...] = frames.position_to_base(np.stack([pose.position_m] * 2))
-        arms[f"{name}_base_quat"][...] = frames.quat_to_base(np.stack([pose.quat] * 2))
-    layout, own = core.task.agent_layout_for(core.task.settings), core.task.observe_agents(observation)[0]
-    return {name: own[:, layout.indices([name])] for name in layout.names}
+    commanded = [
+        nearest(position[arm], quat_to_matrix(quat[arm]), state.q_rad[0, arm], mount.dh)
+        for arm, mount in enumerate(mounts)
+    ]
+    state = state._replace(
+        flange_m=flanges.position_m[None],
+        flange_quat=flanges.quat[None],
+        gripper_m=None if width_m is None else np.full((1, 2), width_m),
+        objects={"bar": Poses(*(each[None] for each in bar))},
+    )
+    task._path = Ahead(task._path, ahead)
+    fields = task.layout.split(task.observe(state, task.measure(state), np.array([commanded])))
+    return {name: value[0] for name, value in fields.items()}
 
 
 def goals_of(tools, fields):
@@ -122,29 +137,26 @@ def test_welded_grippers_follow_the_reference_without_fields_of_fingers():
 
 
 @pytest.mark.parametrize("grasp", ["friction", "rigid"])
-def test_the_reward_leads_to_the_goals_that_agents_observe(grasp):
+def test_the_reward_leads_to_the_goals_that_are_observed(grasp):
     """Term "reach", computed from the fields of tools where they are and of the reference now."""
     core = Core("SyncCarry", {"grasp": grasp}, n=2)
     observation, _ = core.reset([np.random.default_rng(seed) for seed in (0, 1)])
-    script, layout = policies.load("scripted", CARRY, grasp=grasp), core.task.agent_layout_for(core.task.settings)
+    script, task = policies.load("scripted", CARRY, grasp=grasp), copy.deepcopy(core.task)
+    task._when = np.zeros(2)  # the reference ahead is that of now
     reached, opened, closing = [], set(), set()
     for _ in range(180):
         step = core.step(script(observation))
         observation = step.observation
-        both = observation.copy()
-        arms = core.task.layout.split(both)
-        arms["commanded_q_rad"][...] = arms["q_rad"]
-        for part in ("m", "quat"):
-            arms[f"ahead_base_{part}"][...] = arms[f"reference_base_{part}"]
-        own = core.task.observe_agents(both)
-        near_m, near = np.moveaxis(own[..., layout.indices(["goal_closeness"])], -1, 0)
+        state = core._state
+        fields = task.layout.split(task.observe(state, task.measure(state), state.q_rad))
+        near_m, near = np.moveaxis(fields["goal_closeness"], -1, 0)
         left_m, turn = 0.01 * (1.0 / near_m - 1.0), 0.03 * (1.0 / near - 1.0)
         move = 1.0 - left_m + 0.5 * (0.03 / (0.03 + left_m) + 0.3 / (0.3 + left_m))
         nearness = 0.25 * (move + 1.0 - 0.5 * turn + 0.5 * (0.2 / (0.2 + turn) + 1.0 / (1.0 + turn)))
         grasped = np.ones((2, 2))
         if grasp == "friction":
-            wide = own[..., layout.indices(["opening"])[0]] * WIDE
-            opens = own[..., layout.indices(["goal_opening"])[0]] == 1.0
+            wide = fields["opening"][..., 0] * WIDE
+            opens = fields["goal_opening"][..., 0] == 1.0
             nearness[opens] *= (0.8 + 0.2 * np.clip((wide - 0.04) / 0.045, 0.0, 1.0))[opens]
             holds = np.abs(wide - 0.04) < 0.001
             grasped = np.where(holds, 1.0, np.where(opens, 0.0, 0.5 * (1.0 - np.abs(wide - 0.04) / 0.045)))
@@ -164,8 +176,7 @@ def test_the_saturated_step_and_lag_are_those_of_the_commanded_tool():
     observation, _ = core.reset([np.random.default_rng(0)])
     for _ in range(3):
         observation = core.step(np.full((1, 14), 0.5, dtype=np.float32)).observation
-    layout, own = core.task.agent_layout_for(core.task.settings), core.task.observe_agents(observation)[0]
-    fields, state = {name: own[:, layout.indices([name])] for name in layout.names}, core._state
+    fields, state = core.task.layout.split(observation[0]), core._state
     step = fields["goal_step_m"]
     assert fields["goal_step_saturated"] == pytest.approx(step / (0.01 + np.linalg.norm(step, axis=1, keepdims=True)))
     lag = fields["lag_saturated"]

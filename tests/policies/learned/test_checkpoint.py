@@ -93,7 +93,7 @@ def test_two_agents_act_on_their_own_observations(env_id: str, agents: str, tmp_
 def test_a_batch_gives_the_bits_of_single_observations(agents: str, tmp_path: Path) -> None:
     checkpoint.save(tmp_path / "x", *parts(SINE, agents, hidden=256))
     policy = checkpoint.load(tmp_path / "x")
-    batch = np.random.default_rng(0).normal(size=(9, 80))
+    batch = np.random.default_rng(0).normal(size=(9, 94))
     together = policy(batch)
     assert together.shape == (9, 12)
     assert [policy(row).tobytes() for row in batch] == [row.tobytes() for row in together]
@@ -101,7 +101,7 @@ def test_a_batch_gives_the_bits_of_single_observations(agents: str, tmp_path: Pa
     assert policy(batch).tobytes() == together.tobytes()
 
 
-@pytest.mark.parametrize("shape", [(79,), (2, 81), (1, 2, 80), ()])
+@pytest.mark.parametrize("shape", [(93,), (2, 95), (1, 2, 94), ()])
 def test_malformed_observations_are_refused(saved: Path, shape: tuple[int, ...]) -> None:
     with pytest.raises(ActionError, match="an observation of"):
         checkpoint.load(saved)(np.zeros(shape))
@@ -109,7 +109,7 @@ def test_malformed_observations_are_refused(saved: Path, shape: tuple[int, ...])
 
 def test_a_policy_is_found_by_its_path(saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     keywords = {"action_latency_ticks": 5, "amplitude_m": 0.08}
-    observation = np.random.default_rng(0).normal(size=80)
+    observation = np.random.default_rng(0).normal(size=94)
     expected = checkpoint.load(saved)(observation)
     monkeypatch.chdir(saved.parent)
     for path in (saved, str(saved), "copy", "./copy"):
@@ -154,7 +154,7 @@ def test_loading_needs_no_torch(saved: Path) -> None:
         "import sys\nsys.modules['torch'] = sys.modules['stable_baselines3'] = None\nimport numpy as np\n"
         "from dual_ur10 import policies\n"
         f"policy = policies.load({str(saved)!r}, {SINE!r}, action_latency_ticks=5)\n"
-        "print(policy(np.zeros(80)).shape)\n"
+        "print(policy(np.zeros(94)).shape)\n"
     )
     result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert result.stdout == "(12,)\n"
@@ -171,7 +171,7 @@ def test_environments_of_every_interface_are_accepted(tmp_path: Path) -> None:
     ):
         state = getattr(env, "unwrapped", env).core.task.n
         policy = checkpoint.load(saved, env)
-        policy(np.zeros((5, 80)))
+        policy(np.zeros((5, 94)))
         assert getattr(env, "unwrapped", env).core.task.n == state
         with pytest.raises(CheckpointError, match="keywords were given"):
             checkpoint.load(saved, env, amplitude_m=0.1)
@@ -312,9 +312,9 @@ def test_unreadable_manifests_are_not_written(changes: Any, message: str, tmp_pa
     ("changes", "message"),
     [
         ({"normalisers": (Normaliser((0.0,), (1.0,)),)}, "means for"),
-        ({"normalisers": (Normaliser((0.0,) * 80, (1.0,) * 80),) * 2}, "normalisers for"),
+        ({"normalisers": (Normaliser((0.0,) * 94, (1.0,) * 94),) * 2}, "normalisers for"),
         ({"network": NetworkShape((67, 12), "tanh", "clip"), "normalisers": ()}, "67 inputs"),
-        ({"network": NetworkShape((80, 13), "tanh", "clip")}, "outputs"),
+        ({"network": NetworkShape((94, 13), "tanh", "clip")}, "outputs"),
         ({"agents": "shared"}, "outputs"),
         ({"versions": {}}, "versions"),
         ({"versions": {"dual_ur10": "one"}}, "versions"),

@@ -37,7 +37,7 @@ class Spaces(gym.Env[Any, Any]):
         return np.zeros(self.observation_space.shape), {}
 
 
-def model_of(algorithm: str, inputs: int = 80, outputs: int = 12, seed: int = 0, **policy: Any) -> Any:
+def model_of(algorithm: str, inputs: int = 94, outputs: int = 12, seed: int = 0, **policy: Any) -> Any:
     kind = {"ppo": sb3.PPO, "sac": sb3.SAC}[algorithm]
     own: dict[str, Any] = {"n_steps": 8, "batch_size": 8} if algorithm == "ppo" else {"buffer_size": 10}
     own["use_sde"] = policy.pop("use_sde", False)
@@ -65,7 +65,7 @@ def test_a_converted_policy_acts_as_the_model(algorithm: str, policy: Any, tmp_p
     model = model_of(algorithm, **dict(policy))
     checkpoint.save(tmp_path / "x", *converted(model, SINE, **KEYWORDS))
     loaded = checkpoint.load(tmp_path / "x", SINE, **KEYWORDS)
-    observation = np.random.default_rng(0).normal(size=(100, 80)) * 2
+    observation = np.random.default_rng(0).normal(size=(100, 94)) * 2
     expected, _ = model.predict(observation, deterministic=True)
     np.testing.assert_allclose(loaded(observation), expected, atol=1e-5)
     assert np.abs(expected).max() > 0.5
@@ -74,13 +74,13 @@ def test_a_converted_policy_acts_as_the_model(algorithm: str, policy: Any, tmp_p
 def test_observations_are_normalised_as_in_training() -> None:
     from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
-    around = VecNormalize(DummyVecEnv([lambda: Spaces(80, 12)]), clip_obs=1.5)
+    around = VecNormalize(DummyVecEnv([lambda: Spaces(94, 12)]), clip_obs=1.5)
     rng = np.random.default_rng(0)
-    around.obs_rms.mean, around.obs_rms.var = rng.normal(size=80), rng.uniform(0.1, 3, size=80)
+    around.obs_rms.mean, around.obs_rms.var = rng.normal(size=94), rng.uniform(0.1, 3, size=94)
     model = model_of("ppo")
     networks, manifest = converted(model, SINE, vec_normalize=around, **KEYWORDS)
-    loaded = checkpoint.LearnedPolicy(manifest, networks, checkpoint.view_of(SINE, KEYWORDS))
-    observation = rng.normal(size=(50, 80)) * 3
+    loaded = checkpoint.LearnedPolicy(manifest, networks)
+    observation = rng.normal(size=(50, 94)) * 3
     expected, _ = model.predict(around.normalize_obs(observation), deterministic=True)
     np.testing.assert_allclose(loaded(observation), expected, atol=1e-5)
     around.norm_obs = False
@@ -90,10 +90,9 @@ def test_observations_are_normalised_as_in_training() -> None:
 def test_two_models_convert_for_independent_agents() -> None:
     models = [model_of("sac", 79, 7, seed) for seed in range(2)]
     networks, manifest = converted(models, HANDOVER, agents="independent", **KEYWORDS)
-    view = checkpoint.view_of(HANDOVER, KEYWORDS)
-    loaded = checkpoint.LearnedPolicy(manifest, networks, view)
-    observation = np.random.default_rng(0).normal(size=112)
-    agents = view.split(observation[None])[0]
+    loaded = checkpoint.LearnedPolicy(manifest, networks)
+    observation = np.random.default_rng(0).normal(size=158)
+    agents = np.split(observation, 2)
     for half, model, own in zip(np.split(loaded(observation), 2), models, agents, strict=True):
         np.testing.assert_allclose(half, model.predict(own, deterministic=True)[0], atol=1e-5)
     with pytest.raises(CheckpointError, match="look different"):
@@ -107,7 +106,7 @@ def test_a_trusted_file_is_read(algorithm: Any, tmp_path: Path) -> None:
     model = model_of(algorithm)
     model.save(tmp_path / "model.zip")
     loaded = from_sb3(tmp_path / "model.zip", SINE, algorithm=algorithm, trust_pickle=True, **KEYWORDS)
-    observation = np.random.default_rng(0).normal(size=(10, 80))
+    observation = np.random.default_rng(0).normal(size=(10, 94))
     np.testing.assert_allclose(loaded(observation), model.predict(observation, deterministic=True)[0], atol=1e-5)
 
 
@@ -150,4 +149,4 @@ def test_networks_of_another_kind_are_refused() -> None:
     with pytest.raises(CheckpointError, match="PPO or SAC"):
         network_of(sb3.TD3("MlpPolicy", Spaces(3, 2), buffer_size=10))
     with pytest.raises(CheckpointError, match="outputs"):
-        converted(model_of("ppo", 80, 11), SINE)
+        converted(model_of("ppo", 94, 11), SINE)

@@ -33,6 +33,7 @@ from tests.policies.learned.checkpoints import (
     ("env_id", "keywords", "message"),
     [
         (CARRY, {}, "is of DualUR10/SineTracking-v0"),
+        (SINE, {"observation": "goals"}, "view 'state', the environment has 'goals': pass .* observation='state'"),
         (SINE, {"policy_rate_hz": 12.5}, "period_ticks 5, the environment has 10: pass .* policy_rate_hz=25.0"),
         (SINE, {"action_latency_ticks": 0}, "latency_ticks 5, the environment has 0: pass .* action_latency_ticks=5"),
         (SINE, {"action_mode": "joint_position"}, "actions.mode 'joint_delta', the environment has 'joint_position'"),
@@ -52,6 +53,22 @@ def test_a_checkpoint_of_another_environment(saved: Path, env_id: str, keywords:
         with pytest.raises(CheckpointError):
             checkpoint.load(saved, env)
         env.close()
+
+
+@pytest.mark.parametrize("agents", ["joint", "shared"])
+def test_a_checkpoint_of_the_concise_view(tmp_path: Path, agents: str) -> None:
+    networks, made = parts(HANDOVER, agents, observation="goals")
+    checkpoint.save(tmp_path / "x", networks, made)
+    assert made.signature.kwargs["observation"] == made.signature.view == "goals"
+    env = gym.make(HANDOVER, observation="goals")
+    policy = checkpoint.load(tmp_path / "x", env)
+    assert env.action_space.contains(policy(env.reset(seed=0)[0]))
+    assert checkpoint.load(tmp_path / "x").sha256 == policy.sha256  # its own keywords make the same view
+    with pytest.raises(CheckpointError, match=r"view 'goals', the environment has 'state': .*observation='goals'"):
+        checkpoint.load(tmp_path / "x", HANDOVER)
+    with pytest.raises(SettingsError, match="scripted policies read all fields"):
+        policies.load("scripted", HANDOVER, observation="goals")
+    env.close()
 
 
 def test_illegal_keywords_are_refused(saved: Path) -> None:
@@ -77,6 +94,8 @@ def test_a_checkpoint_of_another_version(version: str, saved: Path) -> None:
     [
         (("env_id",), HANDOVER),
         (("env_id",), "CartPole-v1"),
+        (("view",), "goals"),
+        (("view",), "pixels"),
         (("rate", "tick_s"), 0.002),
         (("rate", "period_ticks"), 4),
         (("rate", "latency_ticks"), 4),
@@ -126,7 +145,7 @@ def test_the_networks_of_two_agents_must_fit_their_observations(tmp_path: Path) 
             }
         ),
     )
-    with pytest.raises(CheckpointError, match="each agent observes 47"):
+    with pytest.raises(CheckpointError, match="40 inputs: shared observations have 47"):
         checkpoint.load(tmp_path / "x")
 
 

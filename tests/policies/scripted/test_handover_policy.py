@@ -177,7 +177,7 @@ def test_wrong_observations_and_modes():
     core = Core("Handover", {})
     policy = policy_of(core)
     assert isinstance(policy, Policy)
-    with pytest.raises(errors.ActionError, match="112"):
+    with pytest.raises(errors.ActionError, match="158"):
         policy(np.zeros(68))
     with pytest.raises(errors.SettingsError, match="tcp_delta"):
         policy_of(core, "tcp_delta")

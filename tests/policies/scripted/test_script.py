@@ -98,7 +98,7 @@ def test_steps_lead_from_the_command_in_force():
 
 
 def test_openings_follow_the_joints_of_each_arm():
-    action = Grip(TIMING)(RNG.uniform(-1.0, 1.0, 112))
+    action = Grip(TIMING)(RNG.uniform(-1.0, 1.0, 158))
     assert action.tolist() == [0.0] * 6 + [1.0] + [0.0] * 6 + [-1.0]
 
 

@@ -94,7 +94,7 @@ def test_minaris_own_collector_collects(by_agent):
     if by_agent:
         assert next(dataset.iterate_episodes()).infos["reference_m"].shape == (6, 2, 3)
         assert (
-            read_dataset("ur10/own-v0", view_of(SINE, {"duration_s": 0.2, "action_latency_ticks": 5}))[0].shape[1] == 80
+            read_dataset("ur10/own-v0", view_of(SINE, {"duration_s": 0.2, "action_latency_ticks": 5}))[0].shape[1] == 94
         )
 
 
@@ -102,7 +102,7 @@ def test_read_samples_are_the_recorded_ones():
     made(episodes=1)
     observation, action = read_dataset("ur10/sine/scripted-v0", view_of(SINE, KEYWORDS))
     policy = policies.load("scripted", SINE, **KEYWORDS)
-    assert observation.shape == (50, 80)
+    assert observation.shape == (50, 94)
     expected = np.array([policy(row) for row in observation.astype(np.float64)])
     np.testing.assert_allclose(expected, action, atol=2e-4)  # single precision of what was seen
 

@@ -36,7 +36,7 @@ def test_a_driving_expert_acts_as_it_does_alone():
     assert found.returns.tolist() == pytest.approx([each.total_reward for each in alone.episodes], abs=1e-9)
     assert found.successes.tolist() == [each.success for each in alone.episodes]
     assert found.steps == sum(each.steps for each in alone.episodes) == counted[-1]
-    assert found.observation.shape == (found.steps, 80)
+    assert found.observation.shape == (found.steps, 94)
     assert found.action.shape == (found.steps, 12)
     assert found.observation.dtype == found.action.dtype == np.float32
 
@@ -45,7 +45,7 @@ def test_rows_that_idle_leave_no_sample_and_change_no_other_row():
     both, first = run(noise=0.1), run(noise=0.1, rows=2)
     assert first.steps == 2 * 50
     assert len(first.returns) == len(first.successes) == 2
-    assert np.array_equal(first.observation.reshape(50, 2, 80), both.observation.reshape(50, 3, 80)[:, :2])
+    assert np.array_equal(first.observation.reshape(50, 2, 94), both.observation.reshape(50, 3, 94)[:, :2])
     assert np.array_equal(first.action.reshape(50, 2, 12), both.action.reshape(50, 3, 12)[:, :2])
 
 
@@ -71,7 +71,7 @@ def test_the_expert_begins_some_episodes_and_hands_over():
     assert found.longest == alone.longest == 50
     # Up to where it is handed over, a row is as with the expert alone; from there on it is not.
     for row in range(8):
-        ours, theirs = (each.observation.reshape(50, 8, 80)[:, row] for each in (found, alone))
+        ours, theirs = (each.observation.reshape(50, 8, 94)[:, row] for each in (found, alone))
         same = (ours == theirs).all(axis=1)
         assert same[: handed[row] + 1].all()
         assert not same[handed[row] + 2 :].any()
@@ -129,14 +129,14 @@ def test_a_lost_row_leaves_the_others_alone(monkeypatch):
         Lost([np.full(12, np.nan), good, good]),
     ]
     live = np.array([True, True, True])
-    action, knows = expert(np.zeros((3, 80)), live)
+    action, knows = expert(np.zeros((3, 94)), live)
     assert knows.tolist() == [True, False, False]
     assert action[0].tolist() == [1.0] * 12  # within bounds
     assert action[1:].tolist() == [[0.0] * 12] * 2
-    assert expert(np.zeros((3, 80)), live)[1].tolist() == [True, False, False]  # once lost, lost
+    assert expert(np.zeros((3, 94)), live)[1].tolist() == [True, False, False]  # once lost, lost
     expert.begin(1)
-    assert expert(np.zeros((3, 80)), live)[1].tolist() == [True, True, False]
-    assert expert(np.zeros((3, 80)), np.zeros(3, dtype=bool))[1].tolist() == [False] * 3
+    assert expert(np.zeros((3, 94)), live)[1].tolist() == [True, True, False]
+    assert expert(np.zeros((3, 94)), np.zeros(3, dtype=bool))[1].tolist() == [False] * 3
 
 
 def test_a_resting_expert_has_no_noise(monkeypatch):

@@ -151,7 +151,7 @@ def test_every_kind_of_agents_trains(tmp_path, agents):
     path = train(asked, tmp_path / "out")
     policy = policies.load(path, SINE, **asked.keywords)
     assert policy.manifest.agents == agents
-    assert policy.manifest.network.layers[0] == (80 if agents == "joint" else 47)
+    assert policy.manifest.network.layers[0] == (94 if agents == "joint" else 47)
     env = gym.make(SINE, **asked.keywords)
     observation, _ = env.reset(seed=0)
     action = policy(observation)

@@ -50,7 +50,7 @@ def test_the_same_seed_gives_the_same_bits(tmp_path, drawn, algorithm, agents):
     assert sha_of(first) == sha_of(second)
     policy = policies.load(first, SINE, **asked.keywords)
     assert policy.manifest.agents == agents
-    assert policy(np.zeros(80)).shape == (12,)
+    assert policy(np.zeros(94)).shape == (12,)
     assert policy.manifest.evaluation["episodes"] == 2
     assert state.load(tmp_path / "a" / "state")[1]["steps"] == 64  # of the environment
     if agents == "joint":
@@ -58,6 +58,15 @@ def test_the_same_seed_gives_the_same_bits(tmp_path, drawn, algorithm, agents):
         assert sha_of(train(other, tmp_path / "c")) != sha_of(first)
     assert {"state", "training.json", "progress.csv"} <= {each.name for each in (tmp_path / "a").iterdir()}
     assert drawn[:2] == [tmp_path / "a" / "curve.png", tmp_path / "b" / "curve.png"]
+
+
+def test_ppo_learns_from_the_concise_view(tmp_path):
+    found = train(small("ppo", "shared", steps=64, keywords={"observation": "goals"}), tmp_path / "a")
+    policy = policies.load(found, SINE, observation="goals", duration_s=1.0)
+    assert policy.manifest.signature.view == "goals"
+    assert policy(np.zeros(36)).shape == (12,)
+    with pytest.raises(SettingsError, match="scripted policies read all fields"):
+        train(small("dagger", keywords={"observation": "goals"}), tmp_path / "b")
 
 
 @pytest.mark.parametrize(
@@ -71,7 +80,7 @@ def test_a_policy_does_not_see_the_unseen_fields(tmp_path, algorithm, agents):
     observation = env.reset()
     env.close()
     action = policy(observation)
-    for index in range(80):
+    for index in range(94):
         other = observation.copy()
         other[:, index] += 0.01
         assert np.array_equal(policy(other), action) == (index in (31, 32, 33, 71, 72, 73)), index
@@ -266,9 +275,9 @@ def test_the_value_function_learns_first(tmp_path, expert, monkeypatch):
 @pytest.mark.parametrize(
     ("algorithm", "agents", "hidden", "match"),
     [
-        ("ppo", "joint", (8,), "80 - 16 - 12 tanh clip; this training makes joint, 80 - 8 - 12"),
+        ("ppo", "joint", (8,), "94 - 16 - 12 tanh clip; this training makes joint, 94 - 8 - 12"),
         ("ppo", "independent", (16,), "is joint.* makes independent, 47 - 16 - 6"),
-        ("dagger", "joint", (8,), "makes joint, 80 - 8 - 12"),
+        ("dagger", "joint", (8,), "makes joint, 94 - 8 - 12"),
         ("sac", "joint", (16,), "use ppo"),
     ],
 )

@@ -8,7 +8,7 @@ import math
 import pytest
 
 from dual_ur10 import ENV_IDS
-from dual_ur10.envs.tasks.agent_goals import GOAL_FIELDS
+from dual_ur10.envs.tasks.goal_fields import GOAL_FIELDS
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.policies.learned.signature import view_of
 from dual_ur10.policies.training.settings import (
@@ -52,7 +52,7 @@ def test_ppo_can_continue_what_imitation_made(env_id):
 def test_ppo_from_scratch_sees_the_goals_alone(task, keywords):
     asked = defaults(task, "ppo", keywords=keywords)
     view = view_of(asked.env_id, asked.keywords)
-    layout = view.setup.task_type.agent_layout_for(view.setup.settings)
+    layout = view.layout
     seen = set(range(layout.size)) - set(view.indices(asked.settings.unseen, joint=False))
     goals = [field.name for field in GOAL_FIELDS if field.name in layout.names]
     assert len(goals) == len(GOAL_FIELDS) - 3 * ("grasp" in keywords)

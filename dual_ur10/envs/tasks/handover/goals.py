@@ -1,4 +1,4 @@
-"""Goals of both tools in each phase of a handover: where the reward leads them, and what agents observe of it.
+"""Goals of both tools in each phase of a handover: where the reward leads them, and what is observed of it.
 
 The phases follow from the present alone: who holds the block, and where it is.
 
@@ -22,7 +22,7 @@ stay closed until the giver has to open in "release", and the receiver at the ta
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
@@ -30,7 +30,6 @@ import numpy as np
 from dual_ur10.assets.props import BLOCK_SIZE_M
 from dual_ur10.assets.settings import DEFAULT_TOOLS, home_q_rad
 from dual_ur10.assets.tool import Tool, levers_m
-from dual_ur10.envs.tasks.agent_goals import AgentGoals, Wanted
 from dual_ur10.envs.tasks.cases import Cases
 from dual_ur10.envs.tasks.geometry import (
     APPROACH_M,
@@ -226,21 +225,21 @@ _NUMBERS: Final = _numbered()
 
 
 class Situation(NamedTuple):
-    """Facts of n handovers; those of arms are of the left and the right one.
+    """Block and plan of n handovers, whatever the tools do.
 
     Attributes:
         height_m: (n,) height of the block's middle above the table.
         off_m: (n,) distance of the block from the transfer, with its rotation.
-        error_m: (n,) distance of the block from its target.
-        closes: True for a gripper that is to be closed.
-        steps: Steps of the tools to their goals.
+        moved_m: (n, pairs) distances of the block from the transfer, its target, and further frames.
+        axis_rad: (n, pairs) angles between the long axes.
+        plan: Goals.
     """
 
     height_m: Number
     off_m: Number
-    error_m: Number
-    closes: tuple[Number, Number]
-    steps: ToolSteps
+    moved_m: Array
+    axis_rad: Array
+    plan: Plan
 
 
 class HandoverGoals:
@@ -250,13 +249,13 @@ class HandoverGoals:
         n: Number of handovers.
         mounts: Mounts of the arms.
         further: Number of further frames that the block is compared with.
-        of_joints: Tools are given by joint positions, and not as frames.
         tools: Tools of the arms.
 
     Attributes:
         grasps: Measurement of the grasps of block and target.
         to_block: Distances of the block from the transfer and its target, and from further frames.
         steps: Steps of the tools.
+        commanded: Steps of the commanded tools.
     """
 
     def __init__(
@@ -265,7 +264,6 @@ class HandoverGoals:
         mounts: tuple[ArmMount, ArmMount],
         further: int = 0,
         *,
-        of_joints: bool = False,
         tools: tuple[Tool, Tool] = DEFAULT_TOOLS,
     ) -> None:
         self._giver: Rows = np.zeros(n, dtype=np.intp)
@@ -276,8 +274,8 @@ class HandoverGoals:
         self._presented = frame_of(meeting)
         home = _home(mounts, tools)
         goals = [goal for giver in (0, 1) for role in goals_of(giver, home) for goal in role.values()]
-        tcp_m = [tool.tcp_m for tool in tools]
-        self.steps = GoalSteps(n, 2, goals, mounts if of_joints else None, tcp_m=tcp_m)
+        self.steps = GoalSteps(n, 2, goals)
+        self.commanded = GoalSteps(n, 2, goals, mounts, tcp_m=[tool.tcp_m for tool in tools])
         self._plan = Cases(Case, plan_of)
         self.begin(np.arange(n), self._giver)
 
@@ -287,15 +285,10 @@ class HandoverGoals:
         self._grip_m[rows] = _GRIP_M.take(giver, axis=0)
         self.to_block.others[rows, 0] = self._presented.take(giver, axis=0)
 
-    def __call__(self, grasped: Grasped, tools: Array, moved_m: Array, chord: Array) -> Situation:
-        """Return facts and goals.
-
-        Args:
-            grasped: Grasps of block and target.
-            tools: Frames of the tools, or commanded joint positions.
-            moved_m: Distances of the block from the transfer and its target.
-            chord: Chords of its rotation from them.
-        """
+    def situation(self, grasped: Grasped) -> Situation:
+        """Return block and plan, from the grasps of block and target."""
+        self.to_block.others[:, 1] = grasped.frames[:, _TARGET]
+        moved_m, chord, axis_rad = self.to_block(grasped.frames)
         (height_m,) = numbers(grasped.frames[:, _BLOCK, 2:3].T)
         (away_m, error_m, *_), (turned, *_) = numbers(moved_m.T), numbers(chord.T)
         off_m = away_m + LEVER_M * turned
@@ -316,14 +309,29 @@ class HandoverGoals:
             off_m < _ARRIVED_M,
             error_m < _LEAVE_M,
         )
-        plan, higher_m = self._plan(case), _CARRIED_M - height_m
+        return Situation(height_m, off_m, moved_m.copy(), axis_rad.copy(), self._plan(case))
+
+    def __call__(
+        self, now: Situation, grasped: Grasped, commanded_q_rad: Array | None = None
+    ) -> tuple[ToolSteps, tuple[Number, Number]]:
+        """Return the steps to the goals, and True for a gripper, left and right, that is to be closed.
+
+        Args:
+            now: Block and plan.
+            grasped: Grasps of block and target.
+            commanded_q_rad: Joint positions of the commanded tools, whose steps are wanted; None: those of the tools.
+        """
+        plan, higher_m = now.plan, _CARRIED_M - now.height_m
+        follow = self.steps if commanded_q_rad is None else self.commanded
+        tools = grasped.tools if commanded_q_rad is None else commanded_q_rad
+        follow.actual[...] = grasped.tools
         rise_m = [rises * higher_m for rises in plan.rises]
-        steps = self.steps(tools, grasped.frames, plan.goal, rise_m, [takes * off_m for takes in plan.takes])
+        steps = follow(tools, grasped.frames, plan.goal, rise_m, [takes * now.off_m for takes in plan.takes])
         left, right = (
             (away < within) | (away >= beyond)
             for away, within, beyond in zip(numbers(steps.away.T), plan.closes_within, plan.closes_beyond, strict=True)
         )
-        return Situation(height_m, off_m, error_m, (left, right), steps)
+        return steps, (left, right)
 
 
 _GRIP_M: Final = np.stack([each.position_m for each in GRIPS])
@@ -336,30 +344,3 @@ def _home(mounts: tuple[ArmMount, ArmMount], tools: tuple[Tool, Tool]) -> Poses:
     quat = frames.quat_to_cell(np.stack([each[1] for each in found]))
     flange_m = frames.position_to_cell(np.stack([each[0] for each in found]))
     return Poses(flange_m + rotate(quat, levers_m(tools)), quat)
-
-
-class HandoverAgents(AgentGoals[HandoverGoals]):
-    """Agents' observations of a handover, in which both see the block and its target as the giver measures them."""
-
-    objects = ("block_base", "target_base")
-
-    def goals(self, n: int) -> HandoverGoals:
-        """Return the goals of n rows."""
-        return HandoverGoals(n, self.mounts, of_joints=True, tools=self.tools)
-
-    def wanted(
-        self, goals: HandoverGoals, fields: Mapping[str, Array], flanges: Poses, objects: Array
-    ) -> tuple[Grasped, Wanted]:
-        """Return grasps and goals."""
-        rows = np.arange(len(objects))
-        giver = (fields["role"][:, 0, 0] < 0.0).astype(np.intp)
-        goals.begin(rows, giver)
-        grasped = goals.grasps(flanges, fields["gripper_m"][..., 0], objects[rows, giver])
-        goals.to_block.others[:, 1] = grasped.frames[:, _TARGET]
-        moved_m, chord, _ = goals.to_block(grasped.frames)
-        found = goals(grasped, fields["commanded_q_rad"], moved_m, chord)
-        return grasped, Wanted(found.steps, np.stack(np.broadcast_arrays(*found.closes), axis=-1).reshape(-1, 2))
-
-    def commanded(self, goals: HandoverGoals) -> Array:
-        """Return the frames of the commanded tools."""
-        return goals.steps.tools

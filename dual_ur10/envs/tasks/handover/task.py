@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from dual_ur10.assets.props import BLOCK, BLOCK_SIZE_M, TARGET
-from dual_ur10.assets.settings import DEFAULT_TOOLS, Equipment, home_q_rad
-from dual_ur10.assets.tool import Tool, strokes_m
-from dual_ur10.envs.tasks.agent_goals import GOAL_FIELDS
+from dual_ur10.assets.settings import Equipment, home_q_rad
+from dual_ur10.assets.tool import strokes_m
 from dual_ur10.envs.tasks.geometry import PICKING, Grasped, Number, length, numbers, ratio, required
-from dual_ur10.envs.tasks.handover.goals import (
-    LIFTED_M,
-    MEETING_RANGE_M,
-    HandoverAgents,
-    HandoverGoals,
-)
+from dual_ur10.envs.tasks.goal_fields import GOAL_FIELDS, goal_values, gripper_values
+from dual_ur10.envs.tasks.handover.goals import LIFTED_M, MEETING_RANGE_M, HandoverGoals, Situation
 from dual_ur10.envs.tasks.handover.settings import HandoverSettings, check_reach, lying
 from dual_ur10.envs.tasks.observation_layout import (
     ARM_FIELDS,
@@ -34,7 +30,6 @@ from dual_ur10.envs.tasks.observation_layout import (
 )
 from dual_ur10.envs.tasks.staged import Progress, StagedTask, stage
 from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Timing, duration_ratio
-from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.poses import Poses
 from dual_ur10.kinematics.rotations import rotate
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
@@ -59,10 +54,12 @@ class HandoverMeasured(NamedTuple):
     Attributes:
         block_m: (n, 3) position of the block.
         grasped: Both arms, block and target.
+        now: Block and plan.
     """
 
     block_m: Array
     grasped: Grasped
+    now: Situation
 
 
 class Facts(NamedTuple):
@@ -165,8 +162,8 @@ class Handover(StagedTask[HandoverSettings, HandoverMeasured, Facts]):
 
     ## Observation Space
 
-    The observation space is a `Box(low, high, (112,), float64)` with the bounds of the table: 56 numbers of the left
-    arm, which the table shows, then the same 56 of the right arm, with left and right exchanged. All of them can be
+    The observation space is a `Box(low, high, (158,), float64)` with the bounds of the table: 79 numbers of the left
+    arm, which the table shows, then the same 79 of the right arm, with left and right exchanged. All of them can be
     measured on a real cell. Poses, forces and torques are in the arm's own `base` frame unless another is named;
     quaternions are (w, x, y, z). The weight of the gripper is subtracted from the force, which has the noise of
     `CellConfig.wrench_noise`.
@@ -190,9 +187,37 @@ class Handover(StagedTask[HandoverSettings, HandoverMeasured, Facts]):
     | 53 | opening of the other gripper | -0.1 | 0.1 | right/finger_1_joint ... right/finger_2_joint | position (m) |
     | 54 | role: 1 gives, -1 receives | -1.01 | 1.01 | - | sign |
     | 55 | elapsed fraction of the episode's time | -1.01 | 1.01 | - | ratio |
+    | 56-58 | step from the commanded tool to its goal, in the cell frame | -20 | 20 | - | position (m) |
+    | 59-61 | rotation of this step, along its axis | -2.01 | 2.01 | - | 2 sin(angle / 2) |
+    | 62-64 | step to the goal, saturated: x / (0.01 m + abs(x)) | -1 | 1 | - | ratio |
+    | 65-67 | rotation to the goal, saturated: x / (0.03 + abs(x)) | -1 | 1 | - | ratio |
+    | 68-70 | step from the tool to the commanded tool, saturated: x / (0.01 m + abs(x)) | -1 | 1 | - | ratio |
+    | 71-73 | rotation of this step, saturated: x / (0.03 + abs(x)) | -1 | 1 | - | ratio |
+    | 74 | 1 if the grip of the object is between the fingers | 0 | 1 | - | 0 or 1 |
+    | 75 | opening of the gripper, of the largest | -1.2 | 1.2 | - | ratio |
+    | 76 | goal of the gripper: 0 closed, 1 open | 0 | 1 | - | 0 or 1 |
+    | 77-78 | 0.01 m / (0.01 m + path left to the goal), and 0.03 / (0.03 + rotation left) | 0 | 1 | - | ratio |
 
-    An agent of the two-agent environment observes its arm's 56 numbers, and behind them 23 of the goal of its tool,
-    which follow from the joint observation: `dual_ur10.envs.tasks.agent_goals.GOAL_FIELDS`.
+    An agent of the two-agent environment observes its arm's numbers.
+
+    With `observation="goals"` the observation space is a `Box(-1.0, 1.0, (64,), float32)`: 32 numbers of the left arm,
+    then those of the right arm. A value x is shown as x / (u + abs(x)), in each unit u that the table names
+    (`dual_ur10.envs.tasks.observation_layout.ConciseView`).
+
+    | Num | Observation | Min | Max | Name (in XML file) | Type (Unit) |
+    |-----|-------------|-----|-----|--------------------|-------------|
+    | 0-5 | commanded joint positions, from home | -1 | 1 | left/shoulder_pan_joint ... left/wrist_3_joint | angle (rad) in 1 |
+    | 6 | opening of the other gripper | -1 | 1 | right/finger_1_joint ... right/finger_2_joint | position (m) in 0.05 |
+    | 7 | role: 1 gives, -1 receives | -1 | 1 | - | sign in 0.2 |
+    | 8 | elapsed fraction of the episode's time | -1 | 1 | - | ratio in 0.5 |
+    | 9-14 | step from the commanded tool to its goal, in the cell frame | -1 | 1 | - | position (m) in 0.2 and 0.01 |
+    | 15-20 | rotation of this step, along its axis | -1 | 1 | - | 2 sin(angle / 2) in 0.5 and 0.03 |
+    | 21-23 | step from the tool to the commanded tool, saturated: x / (0.01 m + abs(x)) | -1 | 1 | - | ratio in 1 |
+    | 24-26 | rotation of this step, saturated: x / (0.03 + abs(x)) | -1 | 1 | - | ratio in 1 |
+    | 27 | 1 if the grip of the object is between the fingers | -1 | 1 | - | 0 or 1 in 0.2 |
+    | 28 | opening of the gripper, of the largest | -1 | 1 | - | ratio in 0.5 |
+    | 29 | goal of the gripper: 0 closed, 1 open | -1 | 1 | - | 0 or 1 in 0.2 |
+    | 30-31 | 0.01 m / (0.01 m + path left to the goal), and 0.03 / (0.03 + rotation left) | -1 | 1 | - | ratio in 0.5 |
 
     ## Rewards
 
@@ -293,9 +318,10 @@ class Handover(StagedTask[HandoverSettings, HandoverMeasured, Facts]):
         *pose_fields("block_base", "the block", "block/block"),
         *pose_fields("target_base", "the target", "target/target"),
         *OTHER_FLANGE_FIELDS,
-        gripper_field("other"),
-        Field("role", 1, -1.01, 1.01, "sign", "role: 1 gives, -1 receives"),
-        Field("progress", 1, -1.01, 1.01, "ratio", "elapsed fraction of the episode's time"),
+        replace(gripper_field("other"), concise=(0.05,)),
+        Field("role", 1, -1.01, 1.01, "sign", "role: 1 gives, -1 receives", concise=(0.2,)),
+        Field("progress", 1, -1.01, 1.01, "ratio", "elapsed fraction of the episode's time", concise=(0.5,)),
+        *GOAL_FIELDS,
     )
 
     def __init__(self, settings: HandoverSettings, cell: CellConfig, timing: Timing, n: int) -> None:
@@ -305,7 +331,7 @@ class Handover(StagedTask[HandoverSettings, HandoverMeasured, Facts]):
         check_reach(settings, cell.scene)
         self._role: Array = np.ones((n, 2, 1))
         self._goals = HandoverGoals(n, mounts, 3, tools=tools)
-        self._agents = self.agents_for(settings, mounts, tools)
+        self._strokes_m = np.array(strokes_m(tools))[:, None]
         self._still_m = STILL_M_S * timing.period_s
         self._slip_from_m: Array = np.zeros((n, 2, 3))
         self._slip_m: Array = np.zeros((n, 2))
@@ -346,44 +372,29 @@ class Handover(StagedTask[HandoverSettings, HandoverMeasured, Facts]):
         """Compute the poses of all cells."""
         poses = np.concatenate([*state.objects["block"], *state.objects["target"]], axis=1).reshape(self.n, 2, 7)
         flanges = Poses(state.flange_m, required(state.flange_quat))
-        return HandoverMeasured(poses[:, 0, :3].copy(), self._goals.grasps(flanges, required(state.gripper_m), poses))
+        grasped = self._goals.grasps(flanges, required(state.gripper_m), poses)
+        return HandoverMeasured(poses[:, 0, :3].copy(), grasped, self._goals.situation(grasped))
 
     def observe(self, state: CellState, measured: HandoverMeasured, commanded_q_rad: Array) -> Array:
-        """Assemble the observations, (n, 112)."""
+        """Assemble the observations, (n, 158)."""
         gripper_m = required(state.gripper_m)[..., None]
-        in_bases = measured.grasped.in_bases
+        grasped, in_bases = measured.grasped, measured.grasped.in_bases
+        steps, closes = self._goals(measured.now, grasped, commanded_q_rad)
         return self.layout.join(
             {
                 **arm_values(state, commanded_q_rad),
                 **wrench_values(required(state.wrench)),
                 **pose_values("block_base", in_bases[:, :, 0]),
                 **pose_values("target_base", in_bases[:, :, 1]),
-                **pose_values("other_flange", measured.grasped.other_flange),
+                **pose_values("other_flange", grasped.other_flange),
+                **goal_values(steps, self._goals.commanded.nearby),
+                **gripper_values(grasped.between, np.array(closes).T.reshape(-1, 2), gripper_m, self._strokes_m),
                 "gripper_m": gripper_m,
                 "other_gripper_m": gripper_m[:, ::-1],
                 "role": self._role,
                 "progress": per_arm(np.minimum(state.time_s / self.duration_s, 1.0)),
             }
         )
-
-    @classmethod
-    def agent_layout_for(cls, settings: HandoverSettings) -> ObservationLayout:
-        """Return the fields of an arm, and those of its goal."""
-        return cls.layout.extended(*GOAL_FIELDS)
-
-    @classmethod
-    def agents_for(
-        cls,
-        settings: HandoverSettings,
-        mounts: tuple[ArmMount, ArmMount],
-        tools: tuple[Tool, Tool] = DEFAULT_TOOLS,
-    ) -> HandoverAgents:
-        """Return the function that assembles the agents' observations from joint ones."""
-        return HandoverAgents(cls.layout, cls.agent_layout_for(settings), mounts, tools)
-
-    def observe_agents(self, observation: Array) -> Array:
-        """Return each agent's own observation, (n, 2, 79), from those of both, (n, 112)."""
-        return self._agents(observation)
 
     # Stages: whether they are passed now, and the progress of giver and receiver.
 
@@ -431,29 +442,27 @@ class Handover(StagedTask[HandoverSettings, HandoverMeasured, Facts]):
 
     def facts(self, state: CellState, measured: HandoverMeasured) -> Facts:
         """Compute the facts of this step."""
-        grasped, goals = measured.grasped, self._goals
-        goals.to_block.others[:, _TARGET] = grasped.frames[:, 1]
-        moved_m, chord, axis_rad = goals.to_block(grasped.frames)
-        goals.to_block.others[:, _BEFORE] = grasped.frames[:, 0]
-        found = goals(grasped, grasped.tools, moved_m, chord)
+        grasped, now = measured.grasped, measured.now
+        steps, closes = self._goals(now, grasped)
+        self._goals.to_block.others[:, _BEFORE] = grasped.frames[:, 0]
         self._slip(grasped)
-        self._error_m, self._error_rad = moved_m[:, _TARGET].copy(), axis_rad[:, _TARGET].copy()
-        _, _, still_m, *to_shoulders_m = numbers(moved_m.T)
-        _, error_rad, *_ = numbers(axis_rad.T)
-        near_target = (found.error_m < self.settings.success_error_m) & (error_rad < self.settings.success_turn_rad)
+        self._error_m, self._error_rad = now.moved_m[:, _TARGET], now.axis_rad[:, _TARGET]
+        _, error_m, still_m, *to_shoulders_m = numbers(now.moved_m.T)
+        _, error_rad, *_ = numbers(now.axis_rad.T)
+        near_target = (error_m < self.settings.success_error_m) & (error_rad < self.settings.success_turn_rad)
         far = (to_shoulders_m[0] > self._far_m[0]) & (to_shoulders_m[1] > self._far_m[1])
         return facts_of(
             between=self.by_role(grasped.between),
             holds=self.by_role(grasped.holding),
-            closes=self.by_role(found.closes),
-            nearness=self.by_role(found.steps.nearness),
+            closes=self.by_role(closes),
+            nearness=self.by_role(steps.nearness),
             opened=self.by_role(grasped.opened),
             closed=self.by_role(grasped.closed),
             clear=self.by_role(grasped.cleared),
-            height_m=found.height_m,
-            off_m=found.off_m,
+            height_m=now.height_m,
+            off_m=now.off_m,
             laid=near_target & (still_m < self._still_m),
-            lost=far | (found.height_m < _FALLEN_M),
+            lost=far | (now.height_m < _FALLEN_M),
         )
 
     def _slip(self, grasped: Grasped) -> None:

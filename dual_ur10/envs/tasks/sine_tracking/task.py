@@ -16,6 +16,7 @@ from dual_ur10.envs.tasks.observation_layout import (
     ObservationLayout,
     arm_values,
     pose_fields,
+    pose_values,
 )
 from dual_ur10.envs.tasks.sine_tracking.settings import (
     CENTER_RANGE_M,
@@ -84,8 +85,8 @@ class SineTracking(Task[SineSettings, SineMeasured]):
 
     ## Observation Space
 
-    The observation space is a `Box(low, high, (80,), float64)` with the bounds of the table: 40 numbers of the left
-    arm, which the table shows, then the same 40 of the right arm, with left and right exchanged. All of them can be
+    The observation space is a `Box(low, high, (94,), float64)` with the bounds of the table: 47 numbers of the left
+    arm, which the table shows, then the same 47 of the right arm, with left and right exchanged. All of them can be
     measured on a real cell. Poses are in the arm's own `base` frame, the one in which UR's controller reports its TCP;
     quaternions are (w, x, y, z).
 
@@ -101,6 +102,20 @@ class SineTracking(Task[SineSettings, SineMeasured]):
     | 31-33 | rotation vector from the flange to its reference, if small | -2.01 | 2.01 | - | angle (rad) |
     | 34-36 | translation from the commanded flange to its reference at the end of the next motion | -12 | 12 | - | position (m) |
     | 37-39 | rotation vector from the commanded flange to its reference, if small | -2.01 | 2.01 | - | angle (rad) |
+    | 40-42 | position of the other flange in this arm's base frame | -5 | 5 | right/flange | position (m) |
+    | 43-46 | orientation of the other flange in this arm's base frame | -1.01 | 1.01 | right/flange | quaternion |
+
+    An agent of the two-agent environment observes its arm's numbers.
+
+    With `observation="goals"` the observation space is a `Box(-1.0, 1.0, (36,), float32)`: 18 numbers of the left arm,
+    then those of the right arm. A value x is shown as x / (u + abs(x)), in each unit u that the table names
+    (`dual_ur10.envs.tasks.observation_layout.ConciseView`).
+
+    | Num | Observation | Min | Max | Name (in XML file) | Type (Unit) |
+    |-----|-------------|-----|-----|--------------------|-------------|
+    | 0-5 | commanded joint positions, from home | -1 | 1 | left/shoulder_pan_joint ... left/wrist_3_joint | angle (rad) in 1 |
+    | 6-11 | translation from the commanded flange to its reference at the end of the next motion | -1 | 1 | - | position (m) in 0.1 and 0.01 |
+    | 12-17 | rotation vector from the commanded flange to its reference, if small | -1 | 1 | - | angle (rad) in 0.3 and 0.03 |
 
     ## Rewards
 
@@ -176,6 +191,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
             12.0,
             "position (m)",
             "translation from the commanded flange to its reference at the end of the next motion",
+            concise=(0.1, 0.01),
         ),
         Field(
             "step_rad",
@@ -184,7 +200,9 @@ class SineTracking(Task[SineSettings, SineMeasured]):
             2.01,
             "angle (rad)",
             "rotation vector from the commanded flange to its reference, if small",
+            concise=(0.3, 0.03),
         ),
+        *pose_fields("other_flange_base", "the other flange in this arm's base frame", "{other}/flange", 5.0),
     )
 
     def __init__(self, settings: SineSettings, cell: CellConfig, timing: Timing, n: int) -> None:
@@ -193,14 +211,14 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         self._check = path_check(cell.measured_scene, self.limits, cell.minimum_clearance_m, cell.uncertainty)
         self._check(settings)
         frames = Frames(mounts)
-        self._base_m, self._to_base, self._others = frames.base_m, frames.rotation, frames.others_pose
-        self._track = Tracking(n, np.stack([TOOL_DOWN_QUAT] * 2), _MARGINS, _SCALES_M, _LEVER_M)
+        self._base_m, self._to_base = frames.base_m, frames.rotation
+        self._track = Tracking(n, frames, np.stack([TOOL_DOWN_QUAT] * 2), _MARGINS, _SCALES_M, _LEVER_M)
         self.horizon = self._duration = max(1, math.ceil(settings.duration_s / timing.period_s - 1e-9))
-        # Of the sine, in `base` now and ahead, and in the cell frame: centres and directions.
+        # Of the sine, in `base` now and ahead, and in the cell frame: centres and amplitudes.
         self._center: Array = np.zeros((n, 3, 2, 3))
         self._along: Array = np.zeros((n, 3, 2, 3))
-        # Now and ahead, (n, 2): amplitudes, angular frequencies, and phases at the start.
-        self._amplitude_m, self._omega, self._phase = np.zeros((n, 2)), np.zeros((n, 2)), np.zeros((n, 2))
+        # Now and ahead, (n, 2): angular frequencies, and phases at the start.
+        self._omega, self._phase = np.zeros((n, 2)), np.zeros((n, 2))
         self._when = np.array([0.0, timing.ahead_s])
         self._steps = GoalSteps(n, 2, (Goal(0), Goal(1)), mounts, in_bases=True, tcp_m=(0.0, 0.0))
         self._ahead: Array = np.tile(frame_of(Poses(np.zeros(3), TOOL_DOWN_QUAT)), (n, 2, 1))
@@ -223,9 +241,9 @@ class SineTracking(Task[SineSettings, SineMeasured]):
             self._center[row] = np.stack([*[(self._to_base @ (world - self._base_m)[..., None])[..., 0]] * 2, world])
             along_base = self._to_base @ settings.direction
             self._along[row] = np.stack([along_base, along_base, np.tile(settings.direction, (2, 1))])
-            self._along[row] *= settings.tracking[:, None]
+            self._along[row] *= settings.amplitude_m * settings.tracking[:, None]
             omega = 2 * math.pi * settings.frequency_hz
-            self._amplitude_m[row], self._omega[row] = settings.amplitude_m, omega
+            self._omega[row] = omega
             self._phase[row] = settings.phase_rad + omega * self._when
         self._squares[rows] = 0.0
         self._count[rows] = 0
@@ -243,17 +261,18 @@ class SineTracking(Task[SineSettings, SineMeasured]):
     def measure(self, state: CellState) -> SineMeasured:
         """Compute reference and errors of all cells."""
         time_s, soft_start_s = state.time_s[:, None], self.settings.soft_start_s
-        away_m = self._amplitude_m * np.sin(time_s * self._omega + self._phase)
+        away = np.sin(time_s * self._omega + self._phase)
         if (time_s.item() if self.n == 1 else time_s.min()) < soft_start_s:
             x = np.minimum((time_s + self._when) / soft_start_s, 1.0)  # exactly 1 at the end and after it
-            away_m *= x * x * x * (10.0 + x * (6.0 * x - 15.0))
-        references = self._center + away_m.take(_NOW_AHEAD_NOW, axis=1) * self._along
+            away *= x * x * x * (10.0 + x * (6.0 * x - 15.0))
+        references = self._center + away.take(_NOW_AHEAD_NOW, axis=1) * self._along
         here, ahead, reference_m = references[:, 0], references[:, 1], references[:, 2]
-        errors = self._track(state.flange_m, state.flange_base_quat, reference_m)
+        in_bases = Poses(state.flange_base_m, state.flange_base_quat)
+        errors = self._track(state.flange_m, in_bases, reference_m)
         return SineMeasured(here, ahead, reference_m, errors)
 
     def observe(self, state: CellState, measured: SineMeasured, commanded_q_rad: Array) -> Array:
-        """Assemble the observations, (n, 80)."""
+        """Assemble the observations, (n, 94)."""
         self._ahead[..., :3] = measured.ahead_base_m
         steps = self._steps(commanded_q_rad, self._ahead)
         return self.layout.join(
@@ -264,6 +283,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
                 "rotation": measured.errors.turn,
                 "step_m": steps.move_m,
                 "step_rad": steps.turn,
+                **pose_values("other_flange_base", measured.errors.other_flange),
             }
         )
 
@@ -271,19 +291,6 @@ class SineTracking(Task[SineSettings, SineMeasured]):
     def covered(cls, trained: SineSettings, settings: SineSettings) -> frozenset[str]:
         """Return the keywords whose values lie within the range that a training with other settings sampled."""
         return settings.covered_by(trained)
-
-    @classmethod
-    def agent_layout_for(cls, settings: SineSettings) -> ObservationLayout:
-        """Return the fields of an arm, and the pose of the other flange in this arm's `base` frame."""
-        other = pose_fields("other_flange_base", "the other flange in this arm's base frame", "{other}/flange", 5.0)
-        return cls.layout.extended(*other)
-
-    def observe_agents(self, observation: Array) -> Array:
-        """Return each agent's own observation, (n, 2, 47), from those of both, (n, 80)."""
-        arms = self.layout.split(observation)
-        pose = np.concatenate([arms["flange_base_m"], arms["flange_base_quat"]], axis=2)
-        others = (pose[:, ::-1, None] @ self._others[:, :7])[:, :, 0] + self._others[:, 7]
-        return np.concatenate([observation.reshape(len(observation), 2, -1), others], axis=2)
 
     def evaluate(self, state: CellState, measured: SineMeasured) -> Outcome:
         """Evaluate reward terms, success and end."""

@@ -10,8 +10,8 @@ import numpy as np
 
 from dual_ur10.assets.gains import COMPLIANT
 from dual_ur10.assets.props import BAR, BAR_MASS_KG, BAR_WELDS
-from dual_ur10.assets.settings import DEFAULT_TOOLS, Equipment, home_q_rad
-from dual_ur10.assets.tool import Tool, levers_m, strokes_m
+from dual_ur10.assets.settings import Equipment, home_q_rad
+from dual_ur10.assets.tool import levers_m, strokes_m
 from dual_ur10.envs.tasks.geometry import (
     APPROACH_M,
     PICKING,
@@ -21,6 +21,7 @@ from dual_ur10.envs.tasks.geometry import (
     length,
     required,
 )
+from dual_ur10.envs.tasks.goal_fields import GOAL_FIELDS, GRIPPER_FIELDS, goal_values, gripper_values
 from dual_ur10.envs.tasks.observation_layout import (
     ARM_FIELDS,
     OTHER_FLANGE_FIELDS,
@@ -34,12 +35,12 @@ from dual_ur10.envs.tasks.observation_layout import (
     wrench_fields,
     wrench_values,
 )
-from dual_ur10.envs.tasks.sync_carry.goals import CarryAgents, CarryGoals, goal_fields
+from dual_ur10.envs.tasks.sync_carry.goals import AHEAD, BAR_POSE, POSES, REFERENCE, CarryGoals
 from dual_ur10.envs.tasks.sync_carry.path import CarryPath
 from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings, bar_pose, ideal_relative, path_rate
 from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Task, Timing, gaussian
 from dual_ur10.kinematics import nearest
-from dual_ur10.kinematics.frames import ArmMount, Frames
+from dual_ur10.kinematics.frames import Frames
 from dual_ur10.kinematics.poses import Poses, compose
 from dual_ur10.kinematics.rotations import quat_to_matrix
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
@@ -49,8 +50,6 @@ from dual_ur10.types import Array, Mask, Rows
 _GRASP_S = {True: 1.5, False: 5.0}  # time before the path begins: rigid, friction
 _SETTLE_S = 1.0  # time after it
 _LOAD_S = 1.0  # in which the declared load ramps up before the lift, and down after it
-_POSES = 3
-_BAR, _REFERENCE, _AHEAD = range(_POSES)  # poses that are measured
 _LOST_M = 0.15  # distance of a bar from its reference at which it is lost
 _LOAD_RATIO = 0.25  # of the load, that each arm must carry
 
@@ -108,11 +107,11 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
 
     ## Observation Space
 
-    The observation space is a `Box(low, high, (124,), float64)` with the bounds of the table: 62 numbers of the left
-    arm, which the table shows, then the same 62 of the right arm, with left and right exchanged. All of them can be
+    The observation space is a `Box(low, high, (170,), float64)` with the bounds of the table: 85 numbers of the left
+    arm, which the table shows, then the same 85 of the right arm, with left and right exchanged. All of them can be
     measured on a real cell. Poses, forces and torques are in the arm's own `base` frame unless another is named;
     quaternions are (w, x, y, z). The weight of the gripper is subtracted from the force, which has the noise of
-    `CellConfig.wrench_noise`. With `grasp="rigid"` the opening is absent: 61 numbers per arm.
+    `CellConfig.wrench_noise`. With `grasp="rigid"` the four fields of the gripper are absent: 81 numbers per arm.
 
     | Num | Observation | Min | Max | Name (in XML file) | Type (Unit) |
     |-----|-------------|-----|-----|--------------------|-------------|
@@ -134,9 +133,37 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
     | 56-59 | orientation of the other flange in the frame of this one | -1.01 | 1.01 | right/flange | quaternion |
     | 60 | time until the path begins, negative | -10 | 10 | - | time (s) |
     | 61 | completed fraction of the path | -1.01 | 1.01 | - | ratio |
+    | 62-64 | step from the commanded tool to its goal, in the cell frame | -20 | 20 | - | position (m) |
+    | 65-67 | rotation of this step, along its axis | -2.01 | 2.01 | - | 2 sin(angle / 2) |
+    | 68-70 | step to the goal, saturated: x / (0.01 m + abs(x)) | -1 | 1 | - | ratio |
+    | 71-73 | rotation to the goal, saturated: x / (0.03 + abs(x)) | -1 | 1 | - | ratio |
+    | 74-76 | step from the tool to the commanded tool, saturated: x / (0.01 m + abs(x)) | -1 | 1 | - | ratio |
+    | 77-79 | rotation of this step, saturated: x / (0.03 + abs(x)) | -1 | 1 | - | ratio |
+    | 80 | 1 if the grip of the object is between the fingers | 0 | 1 | - | 0 or 1 |
+    | 81 | opening of the gripper, of the largest | -1.2 | 1.2 | - | ratio |
+    | 82 | goal of the gripper: 0 closed, 1 open | 0 | 1 | - | 0 or 1 |
+    | 83-84 | 0.01 m / (0.01 m + path left to the goal), and 0.03 / (0.03 + rotation left) | 0 | 1 | - | ratio |
 
-    An agent of the two-agent environment observes its arm's 62 numbers, and behind them 23 of the goal of its tool (61 and
-    20 with `grasp="rigid"`), which follow from the joint observation: `dual_ur10.envs.tasks.agent_goals.GOAL_FIELDS`.
+    An agent of the two-agent environment observes its arm's numbers.
+
+    With `observation="goals"` the observation space is a `Box(-1.0, 1.0, (62,), float32)`: 31 numbers of the left arm,
+    then those of the right arm. A value x is shown as x / (u + abs(x)), in each unit u that the table names
+    (`dual_ur10.envs.tasks.observation_layout.ConciseView`). With
+    `grasp="rigid"` the three fields of the gripper are absent: 28 numbers per arm.
+
+    | Num | Observation | Min | Max | Name (in XML file) | Type (Unit) |
+    |-----|-------------|-----|-----|--------------------|-------------|
+    | 0-5 | commanded joint positions, from home | -1 | 1 | left/shoulder_pan_joint ... left/wrist_3_joint | angle (rad) in 1 |
+    | 6 | time until the path begins, negative | -1 | 1 | - | time (s) in 1 |
+    | 7 | completed fraction of the path | -1 | 1 | - | ratio in 0.5 |
+    | 8-13 | step from the commanded tool to its goal, in the cell frame | -1 | 1 | - | position (m) in 0.2 and 0.01 |
+    | 14-19 | rotation of this step, along its axis | -1 | 1 | - | 2 sin(angle / 2) in 0.5 and 0.03 |
+    | 20-22 | step from the tool to the commanded tool, saturated: x / (0.01 m + abs(x)) | -1 | 1 | - | ratio in 1 |
+    | 23-25 | rotation of this step, saturated: x / (0.03 + abs(x)) | -1 | 1 | - | ratio in 1 |
+    | 26 | 1 if the grip of the object is between the fingers | -1 | 1 | - | 0 or 1 in 0.2 |
+    | 27 | opening of the gripper, of the largest | -1 | 1 | - | ratio in 0.5 |
+    | 28 | goal of the gripper: 0 closed, 1 open | -1 | 1 | - | 0 or 1 in 0.2 |
+    | 29-30 | 0.01 m / (0.01 m + path left to the goal), and 0.03 / (0.03 + rotation left) | -1 | 1 | - | ratio in 0.5 |
 
     ## Rewards
 
@@ -229,8 +256,9 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         *pose_fields("reference_base", "the bar's reference now"),
         *pose_fields("ahead_base", "the bar's reference at the end of the next motion"),
         *OTHER_FLANGE_FIELDS,
-        Field("time_to_path_s", 1, -10.0, 10.0, "time (s)", "time until the path begins, negative"),
-        Field("progress", 1, -1.01, 1.01, "ratio", "completed fraction of the path"),
+        Field("time_to_path_s", 1, -10.0, 10.0, "time (s)", "time until the path begins, negative", concise=(1.0,)),
+        Field("progress", 1, -1.01, 1.01, "ratio", "completed fraction of the path", concise=(0.5,)),
+        *GOAL_FIELDS,
     )
 
     def __init__(self, settings: CarrySettings, cell: CellConfig, timing: Timing, n: int) -> None:
@@ -244,8 +272,9 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         self.duration_s = self._grasp_s + settings.duration_s / self._rate + _SETTLE_S
         self.horizon = self._steps = math.ceil(self.duration_s / timing.period_s - 1e-9)
         mounts = (cell.left, cell.right)
-        self._goals = CarryGoals(n, settings, mounts, _POSES, (_BAR, _BAR), (_REFERENCE, _REFERENCE), tools=tools)
-        self._to_bar = FrameDistances(n, _POSES, (_BAR,))
+        self._goals = CarryGoals(n, settings, mounts, tools)
+        self._strokes_m = np.array(strokes_m(tools))[:, None]
+        self._to_bar = FrameDistances(n, POSES, (BAR_POSE,))
         self._ideal_m = ideal_relative(self._grip, tools).position_m
         self._bar = Poses(np.zeros((n, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)))
         self._when = np.array([0.0, timing.ahead_s])
@@ -256,12 +285,11 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         self._squares: Array = np.zeros((n, 2))
         self._carried: Array = np.zeros((n, 2))
         self._slip_from_m: Array = np.zeros((n, 2, 3))
-        self._agents = self.agents_for(settings, mounts, tools)
 
     @classmethod
     def layout_for(cls, settings: CarrySettings) -> ObservationLayout:
         """Return the fields of an observation; with a rigid grasp there are no grippers."""
-        return cls.layout.without("gripper_m") if settings.rigid else cls.layout
+        return cls.layout.without("gripper_m", *GRIPPER_FIELDS) if settings.rigid else cls.layout
 
     @classmethod
     def requirements(cls, settings: CarrySettings) -> SceneRequirements:
@@ -302,46 +330,32 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
     def measure(self, state: CellState) -> CarryMeasured:
         """Compute poses, references and forces of all cells."""
         clock = (state.time_s[:, None] + self._when - self._grasp_s) * self._rate
-        poses = np.empty((self.n, _POSES, 7))
-        poses[:, _BAR, :3], poses[:, _BAR, 3:] = state.objects["bar"]
-        poses[:, _REFERENCE:, :3], poses[:, _REFERENCE:, 3:] = self._path(clock, self._bar)
+        poses = np.empty((self.n, POSES, 7))
+        poses[:, BAR_POSE, :3], poses[:, BAR_POSE, 3:] = state.objects["bar"]
+        poses[:, REFERENCE:, :3], poses[:, REFERENCE:, 3:] = self._path(clock, self._bar)
         grasped = self._goals.measure(Poses(state.flange_m, required(state.flange_quat)), state.gripper_m, poses)
         force = self._frames.vector_to_cell(required(state.wrench)[..., :3])
-        return CarryMeasured(clock[:, 0], poses[:, _BAR, :3].copy(), grasped, force)
+        return CarryMeasured(clock[:, 0], poses[:, BAR_POSE, :3].copy(), grasped, force)
 
     def observe(self, state: CellState, measured: CarryMeasured, commanded_q_rad: Array) -> Array:
-        """Assemble the observations, (n, 124), or (n, 122) with a rigid grasp."""
-        clock = measured.clock_s
-        in_bases = measured.grasped.in_bases
+        """Assemble the observations, (n, 170), or (n, 162) with a rigid grasp."""
+        clock, grasped = measured.clock_s, measured.grasped
+        in_bases, wanted = grasped.in_bases, self._goals(grasped, commanded_q_rad)
         values = {
             **arm_values(state, commanded_q_rad),
             **wrench_values(required(state.wrench)),
-            **pose_values("bar_base", in_bases[:, :, _BAR]),
-            **pose_values("reference_base", in_bases[:, :, _REFERENCE]),
-            **pose_values("ahead_base", in_bases[:, :, _AHEAD]),
-            **pose_values("other_flange", measured.grasped.other_flange),
+            **pose_values("bar_base", in_bases[:, :, BAR_POSE]),
+            **pose_values("reference_base", in_bases[:, :, REFERENCE]),
+            **pose_values("ahead_base", in_bases[:, :, AHEAD]),
+            **pose_values("other_flange", grasped.other_flange),
+            **goal_values(wanted.steps, self._goals.commanded.nearby),
             "time_to_path_s": per_arm(np.minimum(clock, 0.0)),
             "progress": per_arm(np.minimum(np.maximum(clock / self._path.duration_s, 0.0), 1.0)),
         }
         if not self.settings.rigid:
-            values["gripper_m"] = required(state.gripper_m)[..., None]
+            values["gripper_m"] = gripper_m = required(state.gripper_m)[..., None]
+            values.update(gripper_values(grasped.between, wanted.closes, gripper_m, self._strokes_m))
         return self.layout.join(values)
-
-    @classmethod
-    def agent_layout_for(cls, settings: CarrySettings) -> ObservationLayout:
-        """Return the fields of an arm, and those of its goal."""
-        return cls.layout_for(settings).extended(*goal_fields(settings))
-
-    @classmethod
-    def agents_for(
-        cls, settings: CarrySettings, mounts: tuple[ArmMount, ArmMount], tools: tuple[Tool, Tool] = DEFAULT_TOOLS
-    ) -> CarryAgents:
-        """Return the function that assembles the agents' observations from joint ones."""
-        return CarryAgents(settings, cls.layout_for(settings), cls.agent_layout_for(settings), mounts, tools)
-
-    def observe_agents(self, observation: Array) -> Array:
-        """Return each agent's own observation, (n, 2, 85), or (n, 2, 81) with a rigid grasp, from those of both."""
-        return self._agents(observation)
 
     def evaluate(self, state: CellState, measured: CarryMeasured) -> Outcome:
         """Evaluate reward terms, success and end."""
@@ -351,7 +365,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         bar_m, bar_rad = self._bar_errors(grasped)
         apart_m = length(grasped.other_flange[:, 0, :3] - self._ideal_m)
         inner = (measured.force_n[:, 0] - measured.force_n[:, 1]) / 2.0
-        along = grasped.frames[:, _BAR, 4::3]  # the bar's own y, the second column of its rotation
+        along = grasped.frames[:, BAR_POSE, 4::3]  # the bar's own y, the second column of its rotation
         internal_n = np.vecdot(inner, along)
         slip_m, load_n = self._carry(measured, begun, both)
         self._count += 1
@@ -365,7 +379,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         if np.count_nonzero(success):
             there = (bar_m <= settings.success_error_m) & (bar_rad <= settings.success_turn_rad)
             success &= there & self._carried_well(begun & both)
-        wanted = self._goals(grasped, grasped.tools)
+        wanted = self._goals(grasped)
         terms = np.empty((self.n, 2, len(self.weights)))
         closes, holds = wanted.closes.astype(np.float64), holding.astype(np.float64)
         np.multiply(wanted.steps.nearness, np.maximum(0.8 + 0.2 * grasped.opened, closes), out=terms[..., 0])
@@ -387,7 +401,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
 
     def _bar_errors(self, grasped: Grasped) -> tuple[Array, Array]:
         """Return the distance and the angle of the bar from its reference, (n,) each."""
-        self._to_bar.others[:, 0] = grasped.frames[:, _REFERENCE]
+        self._to_bar.others[:, 0] = grasped.frames[:, REFERENCE]
         moved_m, chord, _ = self._to_bar(grasped.frames)
         return moved_m[:, 0].copy(), 2.0 * np.arcsin(np.minimum(0.5 * chord[:, 0], 1.0))
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import logging
+import math
 import os
 import re
 import shlex
@@ -31,7 +32,7 @@ from safetensors.numpy import save as _serialised
 
 from dual_ur10.assets.settings import Equipment
 from dual_ur10.envs.core.options import EnvOptions
-from dual_ur10.envs.core.randomization import PRESETS, resolve_randomization
+from dual_ur10.envs.core.randomization import PRESETS, Randomization, resolve_randomization
 from dual_ur10.errors import CheckpointError
 from dual_ur10.files import sync_folder
 from dual_ur10.ids import __version__, env_id_of
@@ -327,6 +328,8 @@ _REMEDIES: Final = {
     "robot.gain": "set servoj's gain as it was in training",
 }
 
+_ONLY_WARNED: Final = ("kwargs", "robot.nominal_dh", "robot.bases", "robot.tools")
+
 _KEYWORD_OF: Final = {
     "view": "observation",
     "rate.period_ticks": "policy_rate_hz",
@@ -375,7 +378,7 @@ def _misfits(made: EnvironmentSignature, here: EnvironmentSignature) -> Iterator
     """Yield name and both values of whatever must be as in training and is not."""
     left, right = _flat(made), _flat(here)
     for name in dict.fromkeys(("env_id", *_REMEDIES, *left)):
-        if not name.startswith(("kwargs", "robot.nominal_dh")) and not _same(left[name], right[name]):
+        if not name.startswith(_ONLY_WARNED) and not _same(left[name], right[name]):
             yield name, left[name], right[name]
 
 
@@ -385,6 +388,9 @@ def _warn(what: str, made: EnvironmentSignature, view: EnvironmentView) -> None:
     found += [*_other_keywords(made, here, view), *_wider(made, view)]
     if made.robot.nominal_dh != here.robot.nominal_dh:
         found.append("the kinematics of one of both arms are calibrated, and those of the other are not")
+    found += _moved(made, here)
+    if made.robot.tools != here.robot.tools:
+        found.append(f"the tools were {_shown(made.robot.tools)} and are {_shown(here.robot.tools)}")
     text = f"{what} is used outside of its training, and may perform worse: {'; '.join(found)}"
     if found and text not in _WARNED:
         _WARNED.add(text)
@@ -413,10 +419,7 @@ def _wider(made: EnvironmentSignature, view: EnvironmentView) -> list[str]:
 
     "mild" is about a well-maintained cell, which is what every policy meets.
     """
-    try:
-        trained = resolve_randomization(made.kwargs.get("randomization", "none"))
-    except (ValueError, TypeError) as error:
-        raise CheckpointError(f"its kwargs make no environment: {error!s:.300}") from error
+    trained = _randomization(made)
     here, mild = view.setup.randomization, PRESETS["mild"]
     # The spread of an object's pose shows in the task's keywords.
     names = {each.name for each in dataclasses.fields(here)} - {"object_spread"}
@@ -426,6 +429,23 @@ def _wider(made: EnvironmentSignature, view: EnvironmentView) -> list[str]:
     return [
         f"randomization {name} was {then:g} and is {now:g}" for name, then, low, now in ranges if now > max(then, low)
     ]
+
+
+def _moved(made: EnvironmentSignature, here: EnvironmentSignature) -> list[str]:
+    """Return a text on bases farther from those of the training than any cell of its randomization, or of "mild"."""
+    away_m, turn_rad = made.robot.bases_away(here.robot)
+    ranges = (_randomization(made), PRESETS["mild"])
+    room_m = math.sqrt(3.0) * max(each.base_shift_m for each in ranges)
+    if away_m <= room_m and turn_rad <= max(each.base_turn_rad for each in ranges):
+        return []
+    return [f"a base is {away_m * 1e3:.1f} mm and {math.degrees(turn_rad):.2f} degrees from its place in training"]
+
+
+def _randomization(made: EnvironmentSignature) -> Randomization:
+    try:
+        return resolve_randomization(made.kwargs.get("randomization", "none"))
+    except (ValueError, TypeError) as error:
+        raise CheckpointError(f"its kwargs make no environment: {error!s:.300}") from error
 
 
 def _flat(signature: EnvironmentSignature) -> dict[str, Any]:

@@ -12,13 +12,14 @@ from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 
-from dual_ur10.assets.settings import default_mount
+from dual_ur10.assets.tool import tools_of
 from dual_ur10.envs.core.options import EnvOptions
 from dual_ur10.envs.core.randomization import Randomization, resolve_randomization
 from dual_ur10.envs.core.setup import EnvSetup, load_task
 from dual_ur10.envs.tasks.task import Task
 from dual_ur10.errors import CheckpointError
 from dual_ur10.ids import TASKS, is_registered
+from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.robots import ROBOTS
 from dual_ur10.kinematics.ur10 import ARMS, Family
 from dual_ur10.policies.learned.schema import JsonList, Numbers, Object, StrictJson, Text, Whole
@@ -38,6 +39,7 @@ OPTIONS: Final = (
 """Options of the environment that a signature keeps. Paths of cells and records are private."""
 
 _MOST_SIZE: Final = 4096
+_BASE: Final = 6
 _AND: Final = " + "
 
 
@@ -111,6 +113,9 @@ class Robot(StrictJson):
         family: Family of the controllers.
         lookahead_s, gain: Settings of `servoj`.
         nominal_dh: For left and right, True for the kinematics of the data sheet, False for calibrated ones.
+        bases: Poses of the left and the right base in the cell frame, six numbers each: position in m, yaw and tilt in
+            rad, as of `dual_ur10.kinematics.frames.ArmMount`.
+        tools: Names of the left and the right tool; empty for a task without grippers.
     """
 
     model: Text
@@ -118,9 +123,21 @@ class Robot(StrictJson):
     lookahead_s: float
     gain: float
     nominal_dh: Annotated[tuple[bool, bool], JsonList]
+    bases: Numbers
+    tools: Annotated[tuple[Text, ...], JsonList]
 
     def __post_init__(self) -> None:
         _ = self.names
+        if len(self.bases) != len(ARMS) * _BASE or len(self.tools) not in (0, len(ARMS)):
+            raise CheckpointError(
+                f"robot.bases has {len(self.bases)} numbers and robot.tools {len(self.tools)} names: "
+                f"there must be {len(ARMS) * _BASE}, and {len(ARMS)} or none"
+            )
+
+    def bases_away(self, other: Robot) -> tuple[float, float]:
+        """Return the largest distance of a base from that of another cell, in m, and its largest rotation, in rad."""
+        away = np.abs(np.subtract(self.bases, other.bases)).reshape(len(ARMS), _BASE)
+        return float(np.linalg.norm(away[:, :3], axis=1).max()), float(np.linalg.norm(away[:, 3:], axis=1).max())
 
     @property
     def names(self) -> tuple[str, str]:
@@ -213,6 +230,8 @@ class EnvironmentView:
                 float(config.servoj.lookahead_s),
                 float(config.servoj.gain),
                 (mounts[0].dh.is_nominal, mounts[1].dh.is_nominal),
+                tuple(float(x) for each in mounts for x in (*each.position_m, each.yaw_rad, *each.tilt_rad)),
+                tuple(tool.name for tool in config.equipment.tools) if config.equipment.grippers else (),
             ),
         )
 
@@ -273,8 +292,14 @@ def view_of_signature(signature: EnvironmentSignature) -> EnvironmentView:
             raise CheckpointError(f"kwargs has an unknown {name!r:.80}: allowed are {', '.join(known)}")
     robot = signature.robot
     try:
-        left, right = (default_mount(arm, name) for arm, name in enumerate(robot.names))
-        cell = CellConfig(left=left, right=right, servoj=ServojProfile(robot.family, robot.lookahead_s, robot.gain))
+        left, right = (
+            ArmMount((x, y, z), yaw, robot=name, tilt_rad=(tilt_x, tilt_y))
+            for name, (x, y, z, yaw, tilt_x, tilt_y) in zip(
+                robot.names, np.reshape(robot.bases, (len(ARMS), _BASE)).tolist(), strict=True
+            )
+        )
+        servoj = ServojProfile(robot.family, robot.lookahead_s, robot.gain)
+        cell = CellConfig(left=left, right=right, servoj=servoj, tools=tools_of(robot.tools) if robot.tools else None)
         types = field_types(kind)
         keywords = dict(signature.kwargs)
         keywords |= {name: built(types[name], keywords[name]) for name in types.keys() & keywords.keys()}

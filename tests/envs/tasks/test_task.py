@@ -9,6 +9,7 @@ from dual_ur10.envs.core.core import Core
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.tasks.sine_tracking.settings import (
     AMPLITUDE_RANGE_M,
+    FAR_CENTER_RANGE_M,
     FREQUENCY_RANGE_HZ,
     TOOL_DOWN_QUAT,
     SineSettings,
@@ -131,6 +132,10 @@ def test_a_random_path_is_one_that_the_arms_can_follow():
     for name, (low, high) in (("amplitude_m", AMPLITUDE_RANGE_M), ("frequency_hz", FREQUENCY_RANGE_HZ)):
         assert ((drawn[name] >= low) & (drawn[name] <= high)).all()
         assert np.ptp(drawn[name]) > 0.5 * (high - low)
+    moved_m = drawn["center_m"] - np.asarray(SineSettings().center_m)
+    assert np.abs(moved_m).max() <= FAR_CENTER_RANGE_M
+    apart_m = moved_m[:, 0] - moved_m[:, 1]  # not one shift for both
+    assert np.ptp(apart_m, axis=0).min() > FAR_CENTER_RANGE_M
     again = Core("SineTracking", {"random_path": True}, n=1)
     _, alone = again.reset([np.random.default_rng(7)])
     assert (alone["randomization"]["axis"][0] == drawn["axis"][7]).all()

@@ -14,6 +14,8 @@ from safetensors.numpy import save as serialised
 
 import dual_ur10
 from dual_ur10 import policies
+from dual_ur10.envs.core.randomization import PRESETS
+from dual_ur10.envs.core.setup import load_task
 from dual_ur10.errors import CheckpointError, SettingsError, UnknownNameError
 from dual_ur10.policies.learned import checkpoint
 from tests.policies.learned.checkpoints import (
@@ -161,6 +163,108 @@ def test_a_narrower_range_of_objects_lies_within_the_training(caplog: pytest.Log
     assert record.message.endswith("object_range_m was 0.03 and is 0.04; success_turn_rad was 0.15 and is 0.1")
 
 
+# Values of each keyword within and outside the range of a training with the keywords of `_TRAINED`.
+_TRAINED: dict[str, dict[str, Any]] = {
+    SINE: {"random_path": True},
+    CARRY: {},
+    HANDOVER: {"giver": "random"},
+}
+_RANGES: dict[str, dict[str, tuple[list[Any], list[Any]]]] = {
+    SINE: {
+        "axis": (["z", (1.0, 1.0, 0.0)], []),
+        "amplitude_m": ([0.02, 0.12], [0.01, 0.13]),
+        "frequency_hz": ([0.2, 0.8], [0.1]),
+        "duration_s": ([], [10.0]),
+        "soft_start_s": ([], [4.0]),
+        "phase_rad": ([1.0], []),
+        "center_m": (
+            [((0.05, 0.65, 0.35), (-0.05, -0.55, 0.45))],
+            [((0.0, 0.66, 0.4), (0.0, -0.6, 0.4)), ((0.0, 0.6, 0.4), (0.0, -0.6, 0.34))],
+        ),
+        "randomize": ([False], []),
+        "random_path": ([True], []),
+        "arms": ([], ["left"]),
+        "success_rms_m": ([], [0.002]),
+    },
+    CARRY: {
+        "duration_s": ([], [60.0]),
+        "grasp": ([], []),  # other spaces, so refused
+        "payload": ([], ["unknown"]),
+        "grip_force_n": ([], [80.0]),
+        "object_range_m": ([0.0, 0.02], [0.021]),
+        "object_turn_rad": ([0.0, 0.05], [0.051]),
+        "success_error_m": ([], [0.011]),
+        "success_turn_rad": ([], [0.06]),
+        "success_slip_m": ([], [0.004]),
+    },
+    HANDOVER: {
+        "giver": (["right", "random"], []),
+        "duration_s": ([], [19.0]),
+        "grip_force_n": ([], [61.0]),
+        "object_range_m": ([0.0], [0.021]),
+        "object_turn_rad": ([0.0], [0.53]),
+        "target_range_m": ([0.0], [0.031]),
+        "target_turn_rad": ([0.0], [0.31]),
+        "success_error_m": ([], [0.016]),
+        "success_turn_rad": ([], [0.16]),
+    },
+}
+
+
+@pytest.mark.parametrize("env_id", _RANGES)
+def test_a_warning_names_each_value_that_leaves_the_range_of_the_training(
+    env_id: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Every keyword of the task and every range of the randomization, one at a time."""
+    checkpoint.save(tmp_path / "x", *parts(env_id, "shared", **_TRAINED[env_id]))
+    ranges = _RANGES[env_id]
+    settings = load_task(env_id).settings_type
+    assert [*ranges] == [each.name for each in dataclasses.fields(settings)], "a keyword has no values here"
+
+    def warnings(**keywords: Any) -> list[str]:
+        caplog.clear()
+        with caplog.at_level(logging.WARNING):
+            policies.load(tmp_path / "x", env_id, **keywords)
+        return [record.message.rpartition("perform worse: ")[2] for record in caplog.records]
+
+    for name, (within, outside) in ranges.items():
+        assert [warnings(**{name: value}) for value in within] == [[]] * len(within), name
+        for value in outside:
+            (text,) = warnings(**{name: value})
+            assert text.startswith(f"{name} was ")
+            assert ";" not in text
+    mild, most = dataclasses.asdict(PRESETS["mild"]), dataclasses.asdict(PRESETS["wide"])
+    without = {"object_spread"}  # shows as the ranges that it widens
+    if env_id == SINE:
+        without |= {name for name in mild if name.startswith(("object_", "grip_"))}
+    for name in {*mild} - without:
+        assert warnings(randomization={name: mild[name]}) == []
+        (text,) = warnings(randomization={name: most[name]})
+        assert text.startswith(f"randomization {name} was ")
+        assert ";" not in text
+    if env_id != SINE:
+        (text,) = warnings(randomization={"object_spread": 1.1})
+        assert "object_range_m was " in text
+        assert "object_turn_rad was " in text
+
+
+def test_paths_about_other_centres_leave_the_range(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    checkpoint.save(tmp_path / "x", *parts(SINE, "shared", random_path=True))
+    moved = ((0.0, 0.62, 0.4), (0.0, -0.6, 0.4))
+    with caplog.at_level(logging.WARNING):
+        policies.load(tmp_path / "x", SINE, center_m=moved)
+        assert not caplog.records
+        policies.load(tmp_path / "x", SINE, center_m=moved, random_path=True)
+    assert "center_m was" in caplog.records[0].message
+
+
+def test_an_arm_that_never_gave_leaves_the_range(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    checkpoint.save(tmp_path / "x", *parts(HANDOVER, "shared"))
+    with caplog.at_level(logging.WARNING):
+        policies.load(tmp_path / "x", HANDOVER, giver="right")
+    assert "giver was 'left' and is 'right'" in caplog.records[0].message
+
+
 def test_differences_without_effect_are_warnings(saved: Path, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING):
         policies.load(saved, SINE, action_latency_ticks=5, amplitude_m=0.08, randomization="mild")
@@ -186,6 +290,31 @@ def test_differences_without_effect_are_warnings(saved: Path, caplog: pytest.Log
         cell=dual_ur10.CellConfig(left=dataclasses.replace(mount, dh=off)),
     )
     assert "calibrated" in caplog.text
+
+
+def test_moved_bases_and_other_tools_are_warnings(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    checkpoint.save(tmp_path / "x", *parts(HANDOVER, "shared"))
+    nominal = dual_ur10.CellConfig()
+
+    def warnings(**changes: Any) -> list[str]:
+        caplog.clear()
+        with caplog.at_level(logging.WARNING):
+            policies.load(tmp_path / "x", HANDOVER, cell=dual_ur10.CellConfig(**changes))
+        return [record.message.rpartition("perform worse: ")[2] for record in caplog.records]
+
+    def left(by_m: float = 0.0, yaw_rad: float = 0.0) -> dict[str, Any]:
+        x, y, z = nominal.left.position_m
+        moved = dataclasses.replace(nominal.left, position_m=(x + by_m, y, z), yaw_rad=nominal.left.yaw_rad + yaw_rad)
+        return {"left": moved}
+
+    assert warnings(**left(0.0005, 0.0004)) == []  # as in "mild"
+    assert warnings(**left(0.02)) == ["a base is 20.0 mm and 0.00 degrees from its place in training"]
+    assert warnings(**left(0.0, 0.01)) == ["a base is 0.0 mm and 0.57 degrees from its place in training"]
+    wider = ("robotiq_2f85", "generic_140")
+    checkpoint.save(tmp_path / "y", *parts(HANDOVER, "shared", cell=dual_ur10.CellConfig(tools=wider, **left(0.02))))
+    assert checkpoint.load(tmp_path / "y").manifest.signature.robot.tools == wider
+    with pytest.raises(CheckpointError, match="made for observation"):
+        policies.load(tmp_path / "y", HANDOVER)
 
 
 def test_a_checkpoint_of_another_family_loads_without_keywords(tmp_path: Path) -> None:

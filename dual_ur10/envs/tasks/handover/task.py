@@ -343,6 +343,12 @@ class Handover(StagedTask[HandoverSettings, HandoverMeasured, Facts]):
         ]
 
     @classmethod
+    def covered(cls, trained: HandoverSettings, settings: HandoverSettings) -> frozenset[str]:
+        """Return the keywords whose values lie within the range that a training with other settings sampled."""
+        giver = {"giver"} if {*settings.givers} <= {*trained.givers} else set()
+        return super().covered(trained, settings) | giver
+
+    @classmethod
     def requirements(cls, settings: HandoverSettings) -> SceneRequirements:
         """Return the requirements: two grippers and the block."""
         equipment = Equipment(grippers=True, props=(BLOCK, TARGET), grip_force_n=settings.grip_force_n)

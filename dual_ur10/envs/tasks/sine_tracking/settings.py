@@ -31,11 +31,12 @@ CENTER_RANGE_M = 0.05
 """Largest shift of the centre along each axis of the cell frame when an episode is randomised."""
 
 FAR_CENTER_RANGE_M = 0.1
-"""The same with `random_path`."""
+"""The same with `random_path`, for each arm's centre on its own."""
 
 AMPLITUDE_RANGE_M, FREQUENCY_RANGE_HZ = (0.02, 0.12), (0.2, 0.8)
 """Amplitudes and frequencies of `random_path`."""
 
+_ROUNDING_M = 1e-9
 _SAMPLES = 25
 _OVERSHOOT = 0.2  # of the amplitude: distance beyond a turning point at which a stop may end
 _ROOM = 0.9  # of a speed limit, for the reference; corrections need the rest
@@ -114,19 +115,21 @@ class SineSettings:
     def covered_by(self, trained: SineSettings) -> frozenset[str]:
         """Return the keywords whose values lie within the range that other settings with `random_path` sample."""
         if not trained.random_path:
-            return frozenset()
+            phase = trained.randomize and trained.center_m == self.center_m
+            return frozenset({"phase_rad", "randomize"} if phase else ())
         names = {"axis", "phase_rad", "randomize", "random_path"}
         if AMPLITUDE_RANGE_M[0] <= self.amplitude_m <= AMPLITUDE_RANGE_M[1]:
             names.add("amplitude_m")
         if FREQUENCY_RANGE_HZ[0] <= self.frequency_hz <= FREQUENCY_RANGE_HZ[1]:
             names.add("frequency_hz")
         away = np.abs(np.asarray(self.center_m) - np.asarray(trained.center_m)).max()
-        if away + CENTER_RANGE_M * self.randomize <= FAR_CENTER_RANGE_M:
+        shift = FAR_CENTER_RANGE_M if self.random_path else CENTER_RANGE_M * self.randomize
+        if away + shift <= FAR_CENTER_RANGE_M + _ROUNDING_M:
             names.add("center_m")
         return frozenset(names)
 
     def shifted(self, by_m: Array, **changes: Any) -> SineSettings:
-        """Return these settings with both centres shifted by a vector, (3,), and with other changes."""
+        """Return these settings with both centres shifted by a vector, (3,), or by one each, (2, 3), and changed."""
         left, right = (np.asarray(self.center_m) + by_m).tolist()
         return dataclasses.replace(self, center_m=(tuple(left), tuple(right)), **changes)
 
@@ -216,7 +219,7 @@ _TRIES = 200
 
 
 def sample_path(settings: SineSettings, rng: np.random.Generator, check: PathCheck) -> SineSettings:
-    """Return settings of one episode: random axis, amplitude, frequency, phase and centre that the arms can follow.
+    """Return settings of one episode: random axis, amplitude, frequency, phase and centres that the arms can follow.
 
     Raises:
         WorkspaceError: None of 200 was possible.
@@ -230,7 +233,8 @@ def sample_path(settings: SineSettings, rng: np.random.Generator, check: PathChe
             "phase_rad": float(rng.uniform(-np.pi, np.pi)),
             "randomize": False,
         }
-        sampled = settings.shifted(rng.uniform(-FAR_CENTER_RANGE_M, FAR_CENTER_RANGE_M, 3), **changes)
+        # Each centre for itself: otherwise a network for both arms learns that they belong together.
+        sampled = settings.shifted(rng.uniform(-FAR_CENTER_RANGE_M, FAR_CENTER_RANGE_M, (2, 3)), **changes)
         try:
             check(sampled)
         except WorkspaceError:

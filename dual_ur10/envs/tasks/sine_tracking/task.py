@@ -136,7 +136,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
     circle, and both centres are shifted by the same vector, uniform within ±0.05 m along each axis.
 
     With `random_path`, axis (any direction), amplitude (0.02 to 0.12 m), frequency (0.2 to 0.8 Hz) and phase are uniform,
-    and the centres are shifted within ±0.1 m. A path that the arms cannot follow is drawn again. `info["randomization"]`
+    and each centre is shifted on its own within ±0.1 m along each axis. A path that the arms cannot follow is drawn again. `info["randomization"]`
     has the values.
 
     ## Episode End
@@ -252,7 +252,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         configurations = [
             nearest(self._center[rows, 0, arm], down, home[arm], mount.dh) for arm, mount in enumerate(mounts)
         ]
-        names = ("axis", "amplitude_m", "frequency_hz") if sampled else ()
+        names = ("axis", "amplitude_m", "frequency_hz", "center_m") if sampled else ()
         return Start(
             np.stack(configurations, axis=1),
             sampled={name: np.array([getattr(each, name) for each in sampled]) for name in names},

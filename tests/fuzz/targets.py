@@ -574,6 +574,7 @@ def fault_injection(data: bytes) -> None:
     words='kind = "real" "emulated" name task speed_factor commissioned allow_reduced_mode rt_priority [left] [right] '
     "host family base_position_m base_yaw_rad base_uncertainty_m tcp_position_m payload_kg payload_cog_m serial_number "
     "calibration checksum gripper servoj lookahead_s gain limits speed_rad_s measured latency_s [emulator] [[tracker]] "
+    "[gains] kp_nm_rad kv_nms_rad "
     '[[obstacle]] "plane" "box" "capsule" normal point_m """ nan inf 1979-05-27',
 )
 def cell_file(data: bytes) -> None:

@@ -359,3 +359,7 @@ def test_a_refused_row_keeps_its_gripper_widths() -> None:
     last = widths[1, 9]  # what was sent last before the refusal
     np.testing.assert_array_equal(widths[1, 10:], np.broadcast_to(last, (20, 2)))
     assert np.ptp(widths[0, 10:, 0]) > 0.01  # the other row continues
+    pipeline.reset(HOME_Q_RAD[None], np.array([0]), np.full((1, 2), 0.03))  # and begins another episode
+    command, verdicts = pipeline(with_grippers(np.full((2, 2), 0.5)))
+    assert 1 in verdicts
+    np.testing.assert_array_equal(command.gripper_m[1], np.broadcast_to(last, (5, 2)))

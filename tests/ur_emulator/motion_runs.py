@@ -54,6 +54,18 @@ def at_rest(arm: Motion, ticks: int = 3000) -> Array:
     raise AssertionError("the arm does not come to rest")
 
 
+def until_fault(arm: Motion, code: str, command: Callable[[int], object] = lambda _: None, ticks: int = 2000) -> Array:
+    """Command and run until this fault. Return the speeds (n, 6) of all physics steps."""
+    speeds = []
+    for k in range(ticks):
+        command(k)
+        speeds.append(arm.plan()[:, 1])
+        if arm.fault is not None:
+            assert arm.fault.code == code
+            return np.concatenate(speeds)
+    raise AssertionError("there is no fault")
+
+
 def positions(q: Array) -> Array:
     """Return flange positions (n, 3)."""
     return flange_pose(q, NOMINAL_DH)[0]

@@ -1,11 +1,7 @@
 """The command `ur-emulator`: what it prints, its end, its errors, and several controllers in one process."""
 
-import os
 import re
-import signal
 import socket
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -18,7 +14,7 @@ from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics.robots import ROBOTS
 from dual_ur10.sim2real.links.rtde_link import RtdeLink
 from dual_ur10.sim2real.processes.system import LOCAL
-from tests.ur_emulator.test_emulated_cell import ENVIRONMENT
+from tests.ur_emulator.test_emulated_cell import served
 from tests.ur_emulator.ticking import Cell
 from ur_emulator.addresses import PORTS, free_address
 from ur_emulator.cli import app, by_themselves, of_cell
@@ -40,15 +36,7 @@ def invoke(*arguments, command=app):
 @pytest.mark.emulated
 def test_a_client_reads_one_controller_and_ctrl_c_ends_it():
     host = free_address()
-    command = [sys.executable, "-m", "ur_emulator", "--robot", "ur3e", "--address", host, "--plant", "nominal"]
-    process = subprocess.Popen(
-        command, env=ENVIRONMENT, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    try:
-        lines = []
-        while not lines or "Ctrl-C" not in lines[-1]:
-            lines.append(process.stdout.readline())
-            assert lines[-1], (lines, process.stderr.read())
+    with served("ur_emulator", "--robot", "ur3e", "--address", host, "--plant", "nominal") as lines:
         ports = {name: number for name, number in PORTS.items() if name != "gripper"}
         assert lines[0] == f"{host} UR3e: {', '.join(f'{name} {number}' for name, number in ports.items())}\n"
         assert re.fullmatch(rf"fault injection {re.escape(host)}:\d+\n", lines[1])
@@ -63,14 +51,6 @@ def test_a_client_reads_one_controller_and_ctrl_c_ends_it():
                 link.latest.values["actual_q"], home_q_rad((default_mount(0, "ur3e"),))[0], atol=1e-3
             )
             assert link.latest.values["robot_mode"] == 7
-        os.kill(process.pid, signal.SIGINT)
-        rest, errors = process.communicate(timeout=30.0)
-        assert process.returncode == 0
-        assert rest == "ended\n"
-        assert "Traceback" not in errors
-    finally:
-        process.kill()
-        process.communicate()
 
 
 @pytest.mark.parametrize(

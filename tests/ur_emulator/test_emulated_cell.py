@@ -1,5 +1,6 @@
 """Process of an emulated cell: start, refused options, and its end in all cases."""
 
+import contextlib
 import dataclasses
 import os
 import re
@@ -254,17 +255,32 @@ def test_help():
         assert word in text
 
 
-def test_ctrl_c_ends_it_well(tmp_path):
-    path = tmp_path / "cell.toml"
+@contextlib.contextmanager
+def served(*arguments):
+    """Run a command that serves, and yield the lines that it prints. Ctrl-C has to end it well."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "dual_ur10", "emulate", "--cell", str(path), "--powered-off"],
+        [sys.executable, "-m", *arguments],
         env=ENVIRONMENT, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:
         lines = []
         while not lines or "Ctrl-C" not in lines[-1]:
             lines.append(process.stdout.readline())
-            assert lines[-1], lines
+            assert lines[-1], (lines, process.stderr.read())
+        yield lines
+        os.kill(process.pid, signal.SIGINT)
+        rest, errors = process.communicate(timeout=30.0)
+        assert process.returncode == 0
+        assert rest == "ended\n"
+        assert "Traceback" not in errors
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def test_ctrl_c_ends_it_well(tmp_path):
+    path = tmp_path / "cell.toml"
+    with served("dual_ur10", "emulate", "--cell", str(path), "--powered-off") as lines:
         text = "".join(lines)
         cell = tomllib.loads(path.read_text())
         for arm in ("left", "right"):
@@ -276,14 +292,6 @@ def test_ctrl_c_ends_it_well(tmp_path):
             while answer.count(b"\n") < 2 and (data := client.recv(1000)):
                 answer += data
             assert answer.endswith(b"Robotmode: POWER_OFF\n")
-        os.kill(process.pid, signal.SIGINT)
-        rest, errors = process.communicate(timeout=10.0)
-        assert process.returncode == 0
-        assert "ended" in rest
-        assert "Traceback" not in errors
-    finally:
-        process.kill()
-        process.communicate()
 
 
 @pytest.mark.parametrize(

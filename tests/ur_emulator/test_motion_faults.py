@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dual_ur10.errors import MotionError
-from tests.ur_emulator.motion_runs import Q0, at_rest, motion, pose, run, until_done
+from tests.ur_emulator.motion_runs import Q0, at_rest, motion, pose, run, until_done, until_fault
 
 
 @pytest.mark.parametrize(
@@ -46,12 +46,7 @@ def test_a_line_through_an_unreachable_region():
     there = np.array(arm.tcp_pose(np.array([3.0, -1.0, 1.4, -2.0, -1.57, 0.0])))  # the base is on the line
     handle = arm.move_linear(there, 1.0, 0.5)
     assert arm.fault is None
-    for _ in range(2000):
-        arm.plan()
-        if arm.fault is not None:
-            break
-    assert arm.fault is not None
-    assert arm.fault.code == "C154A0"
+    until_fault(arm, "C154A0")
     assert handle.aborted
     at_rest(arm, 40)
 

@@ -68,23 +68,25 @@ def test_t_is_the_time_of_a_move(seconds):
     assert np.allclose(arm.tcp_pose(arm.q), goal, atol=1e-9)
 
 
+def check_limits(path):
+    speed = np.diff(path, axis=0) / DT
+    assert np.abs(speed).max() <= JOINT_SPEED_RAD_S[0] * (1 + 1e-6)
+    assert np.abs(np.diff(speed, axis=0)).max() <= 40.0 * DT * (1 + 1e-6)
+
+
 @pytest.mark.parametrize(("displacement", "seconds"), [(2.0, 1.2), (0.14, 0.12)])
 def test_t_is_kept_where_only_other_ramps_allow_it(displacement, seconds):
     arm = motion()
     path, ticks = until_done(arm, arm.move_joints(Q0 + np.array([displacement, 0, 0, 0, 0, 0]), 1.0, 1.0, seconds))
     assert ticks == round(seconds / TICK_S)
-    speed = np.diff(path, axis=0) / DT
-    assert np.abs(speed).max() <= JOINT_SPEED_RAD_S[0] * (1 + 1e-6)
-    assert np.abs(np.diff(speed, axis=0)).max() <= 40.0 * DT * (1 + 1e-6)
+    check_limits(path)
 
 
 def test_a_time_that_is_too_short_is_not_kept():
     arm = motion()
     path, ticks = until_done(arm, arm.move_joints(Q0 + np.array([2.0, 0, 0, 0, 0, 0]), 1.0, 1.0, 0.2))
-    speed = np.diff(path, axis=0) / DT
     assert ticks * TICK_S > 2.0 / JOINT_SPEED_RAD_S[0]
-    assert np.abs(speed).max() <= JOINT_SPEED_RAD_S[0] * (1 + 1e-6)
-    assert np.abs(np.diff(speed, axis=0)).max() <= 40.0 * DT * (1 + 1e-6)
+    check_limits(path)
 
 
 def test_movel_is_straight_and_rotates_evenly():

@@ -11,7 +11,7 @@ from dual_ur10.envs.sim.servo_reference import ServojReference
 from dual_ur10.kinematics.ur10 import JOINT_SPEED_RAD_S
 from dual_ur10.sim2real.control.servoj import ServojLaw, ServojProfile
 from tests.soak import scaled
-from tests.ur_emulator.motion_runs import DT, Q0, SUBSTEPS, TICK_S, at_rest, motion, run
+from tests.ur_emulator.motion_runs import DT, Q0, SUBSTEPS, TICK_S, at_rest, motion, run, until_fault
 from ur_emulator.profile import Assumptions
 
 
@@ -174,13 +174,8 @@ def test_a_pause_is_no_starvation():
 
 def test_a_setpoint_that_is_too_fast_is_a_fault():
     arm = motion()
-    for k in range(100):
-        arm.servo_joints(Q0 + np.array([0, 0, 0, 0, 0, 0.03 * (k + 1)]), TICK_S, 0.03, 2000)
-        arm.plan()
-        if arm.fault is not None:
-            break
-    assert arm.fault is not None
-    assert arm.fault.code == "C204A5"
+    ahead = np.array([0, 0, 0, 0, 0, 0.03])
+    until_fault(arm, "C204A5", lambda k: arm.servo_joints(Q0 + ahead * (k + 1), TICK_S, 0.03, 2000), 100)
     assert np.abs(arm.qd).max() <= 1.1 * JOINT_SPEED_RAD_S[5]
 
 

@@ -22,6 +22,7 @@ from tests.ur_emulator.motion_runs import (
     positions,
     run,
     until_done,
+    until_fault,
 )
 from ur_emulator.motion.tool_kinematics import rotvec_of
 
@@ -83,13 +84,7 @@ def test_speedj_stops_before_a_joint_limit():
     start = np.zeros(6)
     start[2] = 2.5
     arm = motion(start)
-    for _ in range(400):
-        arm.speed_joints([0, 0, 1.5, 0, 0, 0], 5.0, TICK_S)
-        arm.plan()
-        if arm.fault is not None:
-            break
-    assert arm.fault is not None
-    assert arm.fault.code == "C150A0"
+    until_fault(arm, "C150A0", lambda _: arm.speed_joints([0, 0, 1.5, 0, 0, 0], 5.0, TICK_S), 400)
     at_rest(arm)
     assert JOINT_RANGE_RAD[2] - 0.05 < arm.q[2] <= JOINT_RANGE_RAD[2]
     arm.fault = None
@@ -126,14 +121,8 @@ def test_speedl_rotates_the_tool_by_more_than_180_degrees():
 
 def test_speedl_into_a_singularity_is_a_fault():
     arm = motion()
-    for _ in range(2000):
-        arm.speed_linear([0.0, 0.0, 0.3, 0.0, 0.0, 0.0], 1.0, TICK_S)
-        plan = arm.plan()
-        assert (np.abs(plan[:, 1]) <= JOINT_SPEED_RAD_S * (1 + 2e-6)).all()
-        if arm.fault is not None:
-            break
-    assert arm.fault is not None
-    assert arm.fault.code == "C154A0"
+    speeds = until_fault(arm, "C154A0", lambda _: arm.speed_linear([0.0, 0.0, 0.3, 0.0, 0.0, 0.0], 1.0, TICK_S))
+    assert (np.abs(speeds) <= JOINT_SPEED_RAD_S * (1 + 2e-6)).all()
     at_rest(arm)
 
 

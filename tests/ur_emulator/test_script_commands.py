@@ -30,13 +30,17 @@ def mode(cell, name):
     return cell.ask("state", arm="left", names=[name])[name]
 
 
+def power_on(cell, send, release):
+    send("power on")
+    cell.wait_until("left", "robot_mode", 5)
+    send(release)
+    cell.wait_until("left", "robot_mode", 7)
+
+
 def test_power_brakes_and_program(cell, send):
     send("power off")
     assert mode(cell, "robot_mode") == 3
-    send("power on")
-    cell.wait_until("left", "robot_mode", 5)
-    send("set  robotmode run")
-    cell.wait_until("left", "robot_mode", 7)
+    power_on(cell, send, "set  robotmode run")
     send("def wait():\n  sleep(100)\nend")
     assert mode(cell, "runtime_state") == 2
     send("stop program")
@@ -78,7 +82,4 @@ def test_local_mode_refuses_them(cell, send):
     cell.ask("remote", arm="left", on=True)
     send("power off")
     assert mode(cell, "robot_mode") == 3
-    send("power on")
-    cell.wait_until("left", "robot_mode", 5)
-    send("set robotmode run")
-    cell.wait_until("left", "robot_mode", 7)
+    power_on(cell, send, "set robotmode run")

@@ -55,6 +55,13 @@ def say(expression):
     return f'textmsg("<", str_cat({expression}, ">"))\n'
 
 
+def ends(net, body):
+    """Check that an error ends a program which would wait otherwise."""
+    net.bench.run(program(f"{body}\nsleep(9)"))
+    net.bench.tick(2)
+    assert net.bench.state not in PLAYS
+
+
 def test_open_reports_success_and_failure(net):
     net.run(say(f'socket_open("{HOST}", {PORT})') + say(f'socket_open("{HOST}", {PORT + 1}, "b")'))
     assert net.texts.count("<True>") == 1
@@ -63,18 +70,14 @@ def test_open_reports_success_and_failure(net):
 
 @pytest.mark.parametrize("host", ["192.168.56.1", "10.0.0.1", "8.8.8.8", "example.com", "0.0.0.0", "::1", ""])
 def test_only_loopback_addresses_are_connected_to(net, host):
-    net.bench.run(program(f'socket_open("{host}", {PORT})\nwhile True:\n sync()\nend'))
-    net.bench.tick(2)
-    assert net.bench.state not in PLAYS
+    ends(net, f'socket_open("{host}", {PORT})')
     assert "is no loopback address" in net.texts
     assert not len(net.bench.controller.sockets)
 
 
 @pytest.mark.parametrize("arguments", ['"127.0.0.9", 0', '"127.0.0.9", 65536', '"127.0.0.9", "1"', "127, 5"])
 def test_a_wrong_address_ends_the_program(net, arguments):
-    net.bench.run(program(f"socket_open({arguments})\nwhile True:\n sync()\nend"))
-    net.bench.tick(2)
-    assert net.bench.state not in PLAYS
+    ends(net, f"socket_open({arguments})")
 
 
 def test_localhost_is_this_machine(net):
@@ -218,9 +221,7 @@ def test_a_peer_that_does_not_read_ends_the_connection_after_a_while(net):
 
 def test_the_number_of_connections_is_limited(net):
     body = "".join(f'socket_open("{HOST}", {PORT}, "s{number}")\n' for number in range(SOCKETS_MAX + 1))
-    net.bench.run(program(body + "sleep(9)"))
-    net.bench.tick(2)
-    assert net.bench.state not in PLAYS
+    ends(net, body)
     assert f"at most {SOCKETS_MAX} open sockets" in net.texts
 
 
@@ -229,9 +230,7 @@ def test_the_number_of_connections_is_limited(net):
     ["socket_read_byte_list(0)", "socket_read_byte_list(31)", "socket_send_byte(256)", "socket_send_int(1.5)"],
 )
 def test_wrong_numbers_end_the_program(net, call):
-    net.bench.run(program(f"{call}\nsleep(9)"))
-    net.bench.tick(2)
-    assert net.bench.state not in PLAYS
+    ends(net, call)
 
 
 def test_secondary_programs_have_connections_too(net):

@@ -13,12 +13,6 @@ TICK_S = 0.008
 
 
 @pytest.fixture
-def cell():
-    with VirtualCell(plant="nominal") as cell:
-        yield cell
-
-
-@pytest.fixture
 def control(cell):
     return ScriptControl(cell.left, cell.system, "cb3")
 

@@ -39,12 +39,6 @@ ARMS = ("left", "right")
 BUSY = "this machine is too busy to move arms in real time"
 
 
-@pytest.fixture
-def cell():
-    with VirtualCell(plant="nominal") as cell:
-        yield cell
-
-
 def stream(cell, rate_hz=5.0, **options):
     servoj = cell.file.config().servoj
     return PointStream(cell.file, profile_for(rate_hz, servoj), system=cell.system, **options)

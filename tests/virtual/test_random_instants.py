@@ -64,11 +64,13 @@ def check_wire(cell):
             assert (found <= np.asarray(most) * (1 + 1e-6)).all(), order
 
 
-def check_rest(executor, periods=20, most_rad=1e-3):
-    """Check that both arms stay where they are."""
+def check_rest(cell, executor, periods=20, most_rad=1e-3):
+    """Check that both arms stay where they are, that all targets kept the limits, and that nothing was latched."""
     rest = executor.measured_q_rad
     steps(executor, periods)
     assert np.abs(executor.measured_q_rad - rest).max() < most_rad
+    check_wire(cell)
+    assert not cell.fault
 
 
 def check_on_path(feedback, trajectory):
@@ -88,9 +90,7 @@ def test_a_goal_is_cancelled(rng, cell, executor):
     assert (result.state, result.code) == (state, ResultCode.SUCCESSFUL), result.text
     if handle.feedback is not None:
         check_on_path(handle.feedback, trajectory)
-    check_rest(executor)
-    check_wire(cell)
-    assert not cell.fault
+    check_rest(cell, executor)
 
 
 @SEEDS
@@ -113,9 +113,7 @@ def test_a_goal_is_replaced(rng, cell, executor):
         ended = before.succeeded or (before.state, before.reason) == (GoalState.PREEMPTED, "replaced")
         assert ended, before.text
         np.testing.assert_allclose(executor.measured_q_rad, second.q_rad[-1], atol=3e-3)
-    check_rest(executor)
-    check_wire(cell)
-    assert not cell.fault
+    check_rest(cell, executor)
 
 
 @SEEDS
@@ -134,9 +132,7 @@ def test_a_stream_runs_out_of_points(rng, cell, executor):
     assert (result.state, result.code, result.reason) == expected, result.text
     assert handle.feedback.path_s < trajectory.time_s[known - 1]
     check_on_path(handle.feedback, trajectory)
-    check_rest(executor)
-    check_wire(cell)
-    assert not cell.fault
+    check_rest(cell, executor)
 
 
 @SEEDS
@@ -172,6 +168,4 @@ def test_a_pushed_joint_ends_the_goal_within_two_cycles(rng, cell, executor):
     assert decided - first <= 2, (decided, first, shown)
     while executor.moves:
         executor.step()
-    check_rest(executor, 125, 0.01)
-    check_wire(cell)
-    assert not cell.fault
+    check_rest(cell, executor, 125, 0.01)

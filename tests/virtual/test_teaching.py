@@ -24,12 +24,6 @@ STANDS_S = 0.2
 """Time in which an arm stops after freedrive, and the last sign of life that may still have been on its way."""
 
 
-@pytest.fixture
-def cell():
-    with VirtualCell(plant="nominal") as cell:
-        yield cell
-
-
 def person(cell, *acts):
     """Return the requests of a person who pushes, waits and presses keys, one after the other."""
     acts, until_s = list(acts), 0.0

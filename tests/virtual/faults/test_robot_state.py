@@ -70,25 +70,22 @@ def test_33_a_program_paused_and_resumed_does_not_continue(lab):
     lab.assert_stopped(error, "right: program state")
 
 
-@pytest.mark.parametrize(("arm", "fraction"), [("left", 0.5), ("right", 0.1)])
-def test_34_a_speed_slider_slows_both_arms_alike(lab, arm, fraction):
+def slowed(lab, count, request, slow, normal):
+    """Slow an arm down for some steps. Return each arm's rates (n,) of targets, and how many are slow."""
     lab.begin()
     memories = lab.runner.arms
     first = [memory.sent_count for memory in memories]
-    lab.cell.ask("slider", arm=arm, fraction=fraction)
-    for _ in range(6):
+    lab.cell.ask(request, **slow)
+    for _ in range(count):
         lab.step()
         apart = [np.abs(np.subtract(memory.status.q_rad, memory.status.target_q_rad)).max() for memory in memories]
         assert max(apart) < 0.01  # no error builds up
-    slow = [memory.sent_count for memory in memories]
-    lab.cell.ask("slider", arm=arm, fraction=1.0)
+    counts = [memory.sent_count - begin - 1 for memory, begin in zip(memories, first, strict=True)]
+    lab.cell.ask(request, **normal)
     lab.step(25)
     assert lab.latch.read() is None
     sent = [memory.sent(begin)[0] for memory, begin in zip(memories, first, strict=True)]
     rates = [np.diff(each.index) / np.diff(each.period) for each in sent]
-    paced = [rate[: end - begin - 1].min() for rate, begin, end in zip(rates, first, slow, strict=True)]
-    assert max(paced) <= fraction
-    assert min(paced) >= fraction / 2
     assert [float(rate[-1]) for rate in rates] == pytest.approx([1.0, 1.0], abs=1e-2)
     # At any time both are as far as each other: an object that both hold is not torn.
     left, right = (dict(zip(each.period, each.index, strict=True)) for each in sent)
@@ -96,6 +93,15 @@ def test_34_a_speed_slider_slows_both_arms_alike(lab, arm, fraction):
     assert len(common) > 100
     assert all(left[period] == right[period] for period in common)
     lab.assert_within_limits()
+    return rates, counts
+
+
+@pytest.mark.parametrize(("arm", "fraction"), [("left", 0.5), ("right", 0.1)])
+def test_34_a_speed_slider_slows_both_arms_alike(lab, arm, fraction):
+    rates, counts = slowed(lab, 6, "slider", {"arm": arm, "fraction": fraction}, {"arm": arm, "fraction": 1.0})
+    paced = [rate[:count].min() for rate, count in zip(rates, counts, strict=True)]
+    assert max(paced) <= fraction
+    assert min(paced) >= fraction / 2
 
 
 def test_35_reduced_mode_stops_both_and_nothing_begins_in_it(lab):
@@ -217,26 +223,9 @@ def test_63_another_program_that_holds_an_arm_stops_both(lab):
 @pytest.mark.parametrize("arm", ARMS)
 def test_35_reduced_mode_slows_both_alike_where_it_is_allowed(lab, arm):
     lab.configure(allow_reduced_mode=True)
-    lab.begin()
-    memories = lab.runner.arms
-    first = [memory.sent_count for memory in memories]
-    lab.cell.ask("reduce", arm=arm, on=True)
-    for _ in range(12):
-        lab.step()
-        apart = [np.abs(np.subtract(memory.status.q_rad, memory.status.target_q_rad)).max() for memory in memories]
-        assert max(apart) < 0.01  # no error builds up
-    slow = [memory.sent_count for memory in memories]
-    lab.cell.ask("reduce", arm=arm, on=False)
-    lab.step(25)
-    assert lab.latch.read() is None
-    sent = [memory.sent(begin)[0] for memory, begin in zip(memories, first, strict=True)]
-    rates = [np.diff(each.index) / np.diff(each.period) for each in sent]
-    for rate, begin, end in zip(rates, first, slow, strict=True):
-        assert float(np.median(rate[end - begin - 20 : end - begin - 1])) == pytest.approx(REDUCED_SCALING, abs=1e-3)
-        assert float(rate[-1]) == pytest.approx(1.0, abs=1e-2)
-    left, right = (dict(zip(each.period, each.index, strict=True)) for each in sent)
-    assert all(left[period] == right[period] for period in left.keys() & right.keys())
-    lab.assert_within_limits()
+    rates, counts = slowed(lab, 12, "reduce", {"arm": arm, "on": True}, {"arm": arm, "on": False})
+    for rate, count in zip(rates, counts, strict=True):
+        assert float(np.median(rate[count - 19 : count])) == pytest.approx(REDUCED_SCALING, abs=1e-3)
 
 
 def test_35_other_stops_stop_both_where_reduced_mode_is_allowed(lab):

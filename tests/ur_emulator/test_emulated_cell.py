@@ -251,8 +251,8 @@ def run(*arguments):
 def test_help():
     code, text = run("emulate", "--help")
     assert code == 0
-    for word in ("--left", "--right", "--family", "--task", "--cell", "--plant", "--dh-error-mm", "--seed", "--view"):
-        assert word in text
+    for word in ("left", "right", "family", "task", "tool", "cell", "plant", "dh-error-mm", "seed", "view"):
+        assert f"--{word}" in text
 
 
 @contextlib.contextmanager

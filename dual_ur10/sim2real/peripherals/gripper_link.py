@@ -194,14 +194,15 @@ class CheckedGripper(GripperLink):
 
     def _read(self) -> GripperReading:
         found = GripperReading(*self.link.read())
-        opening_m, slack_m = found.opening_m, _SLACK * self.tool.stroke_m
-        if opening_m is not None and not -slack_m <= float(opening_m) <= self.tool.stroke_m + slack_m:
+        opening_m = None if found.opening_m is None else float(found.opening_m)
+        slack_m = _SLACK * self.tool.stroke_m
+        if opening_m is not None and not -slack_m <= opening_m <= self.tool.stroke_m + slack_m:
             raise LinkError(
                 f"{self._where}: found an opening of {opening_m} m; expected are 0 to {self.tool.stroke_m:g} m, or None"
             )
         if not isinstance(found.fault, str):
             raise LinkError(f"{self._where}: found the fault {found.fault!r}; expected is text, empty without a fault")
-        return found
+        return found._replace(opening_m=opening_m)
 
     def command(self, opening_m: float) -> bool:
         """See `GripperLink`."""

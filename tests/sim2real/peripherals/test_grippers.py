@@ -491,7 +491,7 @@ class Own(GripperLink):
     """Driver of a laboratory, whose answers are given."""
 
     drives = {"stroke_m": (0.0, 0.1), "force_n": (10.0, 240.0)}  # noqa: RUF012  # as drivers state it
-    answer = GripperReading(0.03, "", None)
+    answer = "0.03", "", None
     where = "never shown"
 
     def __init__(self, request, port=80, broken=False):
@@ -537,7 +537,7 @@ def test_a_driver_of_ones_own(file, system):
         60.0,
         system,
     )
-    assert (made.port, link.tool, link.read()) == (81, TOOL, Own.answer)
+    assert (made.port, link.tool, link.read()) == (81, TOOL, GripperReading(0.03, "", None))
     assert link.command(0.02) is False
     link.forget()
     link.activate(2.0)

@@ -112,7 +112,8 @@ class PegInsertion(ur.GraspingTask[PegSettings, Facts]):
     @classmethod
     def requirements(cls, settings: PegSettings) -> ur.SceneRequirements:
         """Return the scene: two grippers, the peg and the plate."""
-        equipment = ur.Equipment(grippers=True, props=(PEG, plate(settings.clearance_m)), grip_force_n=200.0)
+        near, props = ur.Camera("near", (0.5, 0.4, 0.45), target_m=(0.0, 0.05, 0.2)), (PEG, plate(settings.clearance_m))
+        equipment = ur.Equipment(grippers=True, props=props, grip_force_n=200.0, cameras=(near,))
         return ur.SceneRequirements(equipment, timestep_s=0.001, gains="compliant", closer=ur.PICKING)
 
     def start(self, rows: ur.Rows, rngs: Sequence[np.random.Generator]) -> ur.Start:

@@ -48,7 +48,7 @@ GOAL = ur.Prop(
 <mujoco>
   <default><geom group="2" contype="0" conaffinity="0" rgba="0.2 0.7 0.3 0.3"/></default>
   <worldbody><body mocap="true">
-    <geom type="box" size="0.15 0.18 0.01" pos="0 0 -0.01"/>
+    <geom type="box" size="0.16 0.19 0.001" pos="0 0 -0.022"/>
   </body></worldbody>
 </mujoco>""",
 )
@@ -122,7 +122,8 @@ class TrayBalance(ur.GraspingTask[TraySettings, Facts]):
     @classmethod
     def requirements(cls, settings: TraySettings) -> ur.SceneRequirements:
         """Return the scene: two grippers, the tray, the ball and the goal."""
-        equipment = ur.Equipment(grippers=True, props=(TRAY, BALL, GOAL), grip_force_n=100.0)
+        near = ur.Camera("near", position_m=(0.75, 0.4, 0.65), target_m=(0.0, 0.0, 0.1))
+        equipment = ur.Equipment(grippers=True, props=(TRAY, BALL, GOAL), grip_force_n=100.0, cameras=(near,))
         return ur.SceneRequirements(equipment, timestep_s=0.001, gains="compliant", closer=ur.PICKING)
 
     def start(self, rows: ur.Rows, rngs: Sequence[np.random.Generator]) -> ur.Start:

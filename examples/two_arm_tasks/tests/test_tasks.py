@@ -1,0 +1,147 @@
+"""Both tasks on every interface, in short episodes; and whole ones by the scripted policies."""
+
+import subprocess
+import sys
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from pettingzoo.test import parallel_api_test
+
+from dual_ur10.envs import dm_env, parallel_env
+from dual_ur10.ids import TASKS, env_id_of
+from dual_ur10.policies import evaluate, load
+from dual_ur10.tasks import SettingsError
+from dual_ur10.testing import VirtualCell
+
+IDS = {name: env_id_of(name) for name in ("PegInsertion", "TrayBalance")}  # which reads the entry point
+both = pytest.mark.parametrize("env_id", list(IDS.values()), ids=list(IDS))
+REFUSALS_END = {"on_refusal": "terminate"}
+
+
+def run(*arguments):
+    """Run a command of dual_ur10, and return what it writes."""
+    command = [sys.executable, "-m", "dual_ur10", *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_their_package_registers_them():
+    assert {name: f"TwoArm/{name}-v0" for name in IDS} == IDS
+    assert all(TASKS[env_id].task.startswith("two_arm_tasks.") for env_id in IDS.values())
+
+
+@both
+def test_gymnasium(env_id):
+    with gym.make(env_id, duration_s=0.2) as env:
+        check_env(env.unwrapped, skip_render_check=True)
+
+
+@both
+def test_rows_of_a_vector_are_single_environments(env_id):
+    envs, env = gym.make_vec(env_id, num_envs=2, randomization="mild"), gym.make(env_id, randomization="mild")
+    rows, _ = envs.reset(seed=[3, 4])
+    actions = envs.action_space.sample()
+    after, rewards, *_ = envs.step(actions)
+    for row in (0, 1):
+        assert np.array_equal(rows[row], env.reset(seed=3 + row)[0])
+        observation, reward, *_ = env.step(actions[row])
+        assert np.array_equal(after[row], observation)
+        assert rewards[row] == reward
+
+
+@both
+def test_pettingzoo(env_id):
+    parallel_api_test(parallel_env(env_id, duration_s=0.2), num_cycles=10)
+
+
+@both
+def test_dm_env(env_id):
+    env = dm_env(env_id, seed=0, duration_s=0.2)
+    step, specification = env.reset(), env.action_spec()
+    while not step.last():
+        step = env.step(np.zeros(specification.shape, specification.dtype))
+    assert np.isfinite(step.reward)
+
+
+@both
+@pytest.mark.parametrize("randomization", ["none", "mild"])
+def test_the_scripted_policy_succeeds(env_id, randomization):
+    keywords = {"randomization": randomization, **REFUSALS_END}
+    assert evaluate(env_id, "scripted", episodes=1, env_kwargs=keywords).success_rate == 1.0
+
+
+class OneArm:
+    """Scripted policy of one arm; the other one does not move, and its gripper stays open."""
+
+    def __init__(self, env_id, arm):
+        self.script, self.other = load("scripted", env_id), 1 - arm
+
+    def reset(self):
+        self.script.reset()
+
+    def __call__(self, observation):
+        action = self.script(observation).reshape(2, 7)
+        action[self.other] = [0.0] * 6 + [1.0]
+        return action.reshape(-1)
+
+
+@both
+@pytest.mark.parametrize("arm", [0, 1], ids=["left", "right"])
+def test_one_arm_alone_cannot_succeed(env_id, arm):
+    env = gym.make(env_id, duration_s=9.0, **REFUSALS_END)
+    policy, (observation, _), over = OneArm(env_id, arm), env.reset(seed=0), False
+    while not over:
+        observation, _, terminated, truncated, info = env.step(policy(observation))
+        over = terminated or truncated
+    assert not info["is_success"]
+    assert info["stage"] == 0  # the first stage, which both pass after 7 s at the latest, is to hold with both
+
+
+def test_a_level_tray_leaves_the_ball_where_it_was(monkeypatch):
+    monkeypatch.setattr("two_arm_tasks.tray_balance.POSITION_GAIN", 0.0)
+    monkeypatch.setattr("two_arm_tasks.tray_balance.SPEED_GAIN", 0.0)
+    assert evaluate(IDS["TrayBalance"], "scripted", episodes=1, env_kwargs={"duration_s": 16.0}).success_rate == 0.0
+
+
+def test_loads_and_coupling_follow_the_stages():
+    with gym.make(IDS["PegInsertion"]) as env:
+        env.reset(seed=0)
+        task = env.unwrapped.core.task
+        for passed, load_kg, coupled in ((0, (0.0, 0.0), False), (1, (0.4, 0.25), False), (3, (0.4, 0.25), True)):
+            task.passed[:] = passed
+            assert tuple(task.load_kg()[0]) == load_kg
+            assert task.coupled().tolist() == [coupled]
+
+
+def test_the_command_line_evaluates():
+    assert "1 of 1" in run("evaluate", "TrayBalance", "--policy", "scripted", "--episodes", 1)
+
+
+def test_the_command_line_records_and_replays(tmp_path):
+    run("rollout", "PegInsertion", "--episodes", 1, "--set", "duration_s=1", "--record", tmp_path)
+    (record,) = tmp_path.iterdir()
+    assert "as recorded" in run("replay", record, "--no-record")
+
+
+def test_an_episode_on_a_virtual_cell():
+    """Two emulated controllers on a virtual clock: adapter, gate, supervisor, trackers, loads and coupled arms."""
+    env_id = IDS["TrayBalance"]
+    with VirtualCell(task="TrayBalance", plant="mild") as cell:
+        env, policy = cell.make(env_id), load("scripted", env_id, cell=cell)
+        observation, _ = env.reset(seed=0)
+        over = False
+        while not over:
+            observation, _, terminated, truncated, info = env.step(policy(observation))
+            over = terminated or truncated
+        assert info["is_success"], info["end_reason"]
+        assert not cell.fault
+
+
+def test_settings_have_ranges():
+    with pytest.raises(SettingsError, match="clearance_m"):
+        gym.make(IDS["PegInsertion"], clearance_m=-1.0)
+    with pytest.raises(SettingsError, match="ball_range_m"):
+        gym.make(IDS["TrayBalance"], ball_range_m=1.0)

@@ -1,0 +1,52 @@
+"""The package of two tasks in `examples/two_arm_tasks`: it installs, its own tests pass, and it keeps its promises."""
+
+import ast
+import io
+import os
+import subprocess
+import sys
+import tokenize
+
+import pytest
+
+from dual_ur10 import tasks
+from tests.two_arm_tasks import FOLDER, install
+
+MODULES = sorted((FOLDER / "two_arm_tasks").glob("*_*.py"))
+
+
+def code_lines(text):
+    """Return the number of lines that hold more than comments and docstrings."""
+    rest = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
+    tokens = [each for each in tokenize.generate_tokens(io.StringIO(text).readline) if each.type not in rest]
+    lines = {line for each in tokens for line in range(each.start[0], each.end[0] + 1)}
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node) is not None:
+            lines -= set(range(node.body[0].lineno, node.body[0].end_lineno + 1))
+    return len(lines)
+
+
+@pytest.mark.parametrize("path", [each for each in MODULES if each.stem != "__init__"], ids=lambda path: path.stem)
+def test_a_task_is_one_short_file_of_public_names(path):
+    text = path.read_text()
+    assert code_lines(text) <= 150
+    nodes = list(ast.walk(ast.parse(text)))
+    imported = {each.module or "" for each in nodes if isinstance(each, ast.ImportFrom)}
+    imported |= {alias.name for each in nodes if isinstance(each, ast.Import) for alias in each.names}
+    assert imported == {"__future__", "collections.abc", "dataclasses", "typing", "numpy", "dual_ur10.tasks"}
+    attributes = [each for each in nodes if isinstance(each, ast.Attribute)]
+    assert not [each.attr for each in attributes if each.attr.startswith("_")]
+    of_facade = {each.attr for each in attributes if isinstance(each.value, ast.Name) and each.value.id == "ur"}
+    assert len(of_facade) > 20
+    assert of_facade <= set(tasks.__all__)
+
+
+def test_it_installs_and_its_own_tests_pass(tmp_path):
+    """Its copy, installed with its entry point, on every interface and on virtual cells."""
+    pytest.importorskip("greenlet")
+    install(tmp_path / "installed")
+    path = os.pathsep.join([str(tmp_path / "installed"), *filter(None, sys.path)])
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(FOLDER / "tests")]
+    environment = {**os.environ, "PYTHONPATH": path}
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stdout + done.stderr

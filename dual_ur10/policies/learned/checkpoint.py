@@ -315,7 +315,6 @@ def _check_id(path: Path, manifest: Manifest, env: str | None) -> None:
 
 _REMEDIES: Final = {
     "env_id": "load a checkpoint of that task",
-    "view": "",
     "robot.model": "use these arms, or train with those of the environment",
     "rate.tick_s": "use controllers of that family, or train with it",
     "rate.period_ticks": "",

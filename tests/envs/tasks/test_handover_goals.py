@@ -74,6 +74,8 @@ def test_goals_at_the_start_are_above_the_grip_and_at_home():
     assert (away[:, 2] > 0.02).all()
     assert (away[:, 2] < APPROACH_M + 0.05).all()
     assert (fields["goal_opening"] == 1.0).all()
+    assert np.abs(fields["lag_saturated"]).max() < 1e-3  # the tools are where the commanded ones are
+    assert np.abs(fields["lag_rotation_saturated"]).max() < 1e-3
 
 
 @pytest.mark.parametrize("giver", [0, 1])

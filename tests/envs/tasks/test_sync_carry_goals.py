@@ -41,13 +41,13 @@ def _step(move_m, turn_rad):
 
 
 class Ahead:
-    """Path whose reference is ahead, at all times."""
+    """Path with a reference now and another one ahead, at all times."""
 
-    def __init__(self, path, ahead):
-        self.duration_s, self.ahead = path.duration_s, ahead
+    def __init__(self, path, now, ahead):
+        self.duration_s, self.references = path.duration_s, (now, ahead)
 
     def __call__(self, time_s, start):
-        return Poses(*(np.broadcast_to(each, (*time_s.shape, len(each))) for each in self.ahead))
+        return Poses(*(np.stack(each)[None] for each in zip(*self.references, strict=True)))
 
 
 def observed(tools, width_m, ahead, bar=BAR, **keywords):
@@ -68,7 +68,7 @@ def observed(tools, width_m, ahead, bar=BAR, **keywords):
         gripper_m=None if width_m is None else np.full((1, 2), width_m),
         objects={"bar": Poses(*(each[None] for each in bar))},
     )
-    task._path = Ahead(task._path, ahead)
+    task._path = Ahead(task._path, bar, ahead)
     fields = task.layout.split(task.observe(state, task.measure(state), np.array([commanded])))
     return {name: value[0] for name, value in fields.items()}
 

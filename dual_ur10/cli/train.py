@@ -267,7 +267,7 @@ def convert(
     if algo is not None and algo not in get_args(Algorithm):
         raise UnknownNameError("algorithm", algo, list(get_args(Algorithm)))
     view = view_of(env_id, keywords)
-    sizes: dict[str, int] = {"joint": view.signature.observation.shape[0], "shared": view.agent_size}
+    sizes: dict[str, int] = {"joint": view.signature.observation.shape[0], "shared": view.layout.size}
     if agents is not None and agents not in sizes:
         raise UnknownNameError("agents", agents, list(sizes))
     check_new(out)

@@ -200,13 +200,6 @@ class Frames:
         result: Array = (position_m[..., None, :] @ self.rotation)[..., 0, :] + self.base_m
         return result
 
-    def poses_to_cell(self, poses: Array) -> Array:
-        """Convert k poses, (..., 2, k, 7), in each arm's own `base` frame to the cell frame."""
-        result = np.empty(poses.shape)
-        result[..., :3] = poses[..., :3] @ self.rotation + self.base_m[:, None]
-        result[..., 3:] = poses[..., 3:] @ self._back
-        return result
-
     def vector_to_cell(self, vector: Array) -> Array:
         """Convert vectors (..., 2, 3) in each arm's own `base` frame to the cell frame."""
         result: Array = (vector[..., None, :] @ self.rotation)[..., 0, :]

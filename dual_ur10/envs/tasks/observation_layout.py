@@ -76,10 +76,6 @@ class ObservationLayout:
         """Return a layout that lacks some fields."""
         return ObservationLayout(*(field for field in self.fields if field.name not in names))
 
-    def extended(self, *fields: Field) -> ObservationLayout:
-        """Return a layout with further fields at the end."""
-        return ObservationLayout(*self.fields, *fields)
-
     def with_stroke(self, stroke_m: float) -> ObservationLayout:
         """Return the layout with bounds for gripper widths up to a stroke: the layout itself, if it has them."""
         most = _WIDTH_ROOM * stroke_m

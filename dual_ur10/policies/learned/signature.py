@@ -235,11 +235,6 @@ class EnvironmentView:
             ),
         )
 
-    @property
-    def agent_size(self) -> int:
-        """Size of each agent's observation."""
-        return self.layout.size
-
     def indices(self, names: Iterable[str], *, joint: bool) -> list[int]:
         """Return the positions of fields in the observation of a network.
 

@@ -311,7 +311,7 @@ def network_shape(training: Training, view: EnvironmentView) -> NetworkShape:
     """
     inputs, outputs = view.signature.observation.shape[0], view.signature.action.shape[0]
     if training.agents != "joint":
-        inputs, outputs = view.agent_size, outputs // 2
+        inputs, outputs = view.layout.size, outputs // 2
     settings = training.settings
     if len(view.indices(settings.unseen, joint=training.agents == "joint")) == inputs:
         raise TrainingError(

@@ -24,7 +24,7 @@ def parts(env_id: str = SINE, agents: str = "joint", hidden: int = 4, **keywords
     rng = np.random.default_rng(KINDS.index(agents))
     view = view_of(env_id, keywords)
     signature = view.signature
-    size = signature.observation.shape[0] if agents == "joint" else view.agent_size
+    size = signature.observation.shape[0] if agents == "joint" else view.layout.size
     shape = NetworkShape((size, hidden, signature.action.shape[0] // (1 if agents == "joint" else 2)), "tanh", "clip")
     count = 2 if agents == "independent" else 1
     networks = [

@@ -222,18 +222,19 @@ def test_several_cells_cannot_be_recorded(tmp_path):
     core.close()
 
 
-def test_episodes_become_a_minari_dataset_with_a_key_per_agent(tmp_path, monkeypatch):
+@pytest.mark.parametrize("view", ["state", "goals"])
+def test_episodes_become_a_minari_dataset_with_a_key_per_agent(tmp_path, monkeypatch, view):
     minari = pytest.importorskip("minari")
     pytest.importorskip("h5py")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "datasets"))
-    runs = [read_run(recorded(tmp_path, "SineTracking")[0]) for _ in range(2)]
+    runs = [read_run(recorded(tmp_path, "SineTracking", observation=view)[0]) for _ in range(2)]
     to_minari(runs, "ur10/sine/random-v0", author="nobody")
     dataset = minari.load_dataset("ur10/sine/random-v0")
     assert dataset.total_episodes == 4
     assert set(dataset.observation_space.spaces) == set(dataset.action_space.spaces) == {"left", "right"}
     from dual_ur10.envs.api.parallel_env import parallel_env
 
-    both = parallel_env("SineTracking")
+    both = parallel_env("SineTracking", observation=view)
     observation, _ = both.reset(seed=4)
     episode = dataset[0]
     for arm in ("left", "right"):
@@ -249,6 +250,7 @@ def test_episodes_become_a_minari_dataset_with_a_key_per_agent(tmp_path, monkeyp
     both.close()
     assert dataset.spec.env_spec.id == "DualUR10/SineTracking-v0"
     env = dataset.recover_environment()
+    assert env.observation_space == dataset.observation_space
     env.close()
     with pytest.raises(RecordingError, match="ur10/sine/random-v0"):
         to_minari(runs, "ur10/sine/random-v0")

@@ -322,9 +322,10 @@ class HandoverGoals:
             commanded_q_rad: Joint positions of the commanded tools, whose steps are wanted; None: those of the tools.
         """
         plan, higher_m = now.plan, _CARRIED_M - now.height_m
-        follow = self.steps if commanded_q_rad is None else self.commanded
-        tools = grasped.tools if commanded_q_rad is None else commanded_q_rad
-        follow.actual[...] = grasped.tools
+        follow, tools = self.steps, grasped.tools
+        if commanded_q_rad is not None:
+            follow, tools = self.commanded, commanded_q_rad
+            follow.actual[...] = grasped.tools
         rise_m = [rises * higher_m for rises in plan.rises]
         steps = follow(tools, grasped.frames, plan.goal, rise_m, [takes * now.off_m for takes in plan.takes])
         left, right = (

@@ -85,10 +85,11 @@ class CarryGoals:
             grasped: Grasps, as returned by `measure`.
             commanded_q_rad: Joint positions of the commanded tools, whose goals are wanted; None: those of the tools.
         """
-        follow = self.steps if commanded_q_rad is None else self.commanded
-        follow.actual[...] = grasped.tools
+        follow, tools = self.steps, grasped.tools
+        if commanded_q_rad is not None:
+            follow, tools = self.commanded, commanded_q_rad
+            follow.actual[...] = grasped.tools
         left, right = ~grasped.holding.T
-        tools = grasped.tools if commanded_q_rad is None else commanded_q_rad
         steps = follow(tools, grasped.frames, (left, 2 + right))
         # Fingers close where their tool has arrived; those that have begun to go on at a larger error.
         within = np.where(grasped.cleared < 1.0, KEEP, 1.0)

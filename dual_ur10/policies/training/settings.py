@@ -164,6 +164,8 @@ class TaskSettings:
         ppo: Settings of PPO from scratch. With a checkpoint to begin with, the general ones count.
         sac: Settings of SAC.
         imitation: Settings of bc and dagger.
+        joint_unseen: Fields that one network for both arms does not see either in bc and dagger. A goal that the expert
+            does not follow is no help, and what its own motion has led to misleads it.
         checks: Number of episodes of each progress check of bc and dagger. For PPO and SAC it is the default.
     """
 
@@ -178,6 +180,7 @@ class TaskSettings:
     ppo: Reinforcement = Reinforcement()
     sac: Reinforcement = Reinforcement()
     imitation: Imitation = Imitation()
+    joint_unseen: tuple[str, ...] = ()
     checks: int = _CHECKS
 
 
@@ -199,9 +202,8 @@ _SINE_UNSEEN: Final = (
     "reference_base_m",
     "ahead_base_m",
     "rotation",
-    "other_flange_base_m",
-    "other_flange_base_quat",
 )
+_OTHER_FLANGE: Final = ("other_flange_base_m", "other_flange_base_quat")
 _GOALS: Final = tuple(field.name for field in GOAL_FIELDS)
 _CARRY_UNSEEN: Final = (
     *_MOTION_FIELDS,
@@ -260,7 +262,7 @@ SINE_TRACKING: Final = TaskSettings(
         gae_lambda=0.9,
         first_std=0.1,
         last_std=0.006,
-        unseen=_SINE_UNSEEN,
+        unseen=(*_SINE_UNSEEN, *_OTHER_FLANGE),
         reward="individual",
     ),
     sac=Reinforcement(
@@ -272,18 +274,20 @@ SINE_TRACKING: Final = TaskSettings(
         first_std=0.1,
         last_std=0.006,
         gradient_steps=16,
-        unseen=_SINE_UNSEEN,
+        unseen=(*_SINE_UNSEEN, *_OTHER_FLANGE),
         reward="individual",
     ),
     # It sees the commanded positions, and the step from there to the reference, which is all that the action needs.
     imitation=Imitation(unseen=_SINE_UNSEEN),
+    joint_unseen=_OTHER_FLANGE,
 )
 
 SYNC_CARRY: Final = TaskSettings(
     steps={"ppo": 1_000_000, "sac": 200_000, "bc": 57_600, "dagger": 230_400},
     # It sees the commanded positions, the goal of the bar and the time. The fingers close by time alone: a network
     # that saw them kept closing after an accidental early start.
-    imitation=Imitation(noise=0.05, unseen=(*_CARRY_UNSEEN, *_GOALS)),
+    imitation=Imitation(noise=0.05, unseen=_CARRY_UNSEEN),
+    joint_unseen=_GOALS,
     from_scratch={"action_mode": "tcp_delta", "randomization": "none", "action_latency_ticks": 0},
     agents="shared",
     ppo=dataclasses.replace(
@@ -308,7 +312,8 @@ HANDOVER: Final = TaskSettings(
         _TO_GOALS, episode_steps=500, batch_size=4096, epochs=10, last_std=0.05, unseen=_HANDOVER_UNSEEN
     ),
     # It sees the commanded positions, the fingers, the block, its goal and the role.
-    imitation=Imitation(unseen=(*_MOTION_FIELDS, "progress", *_GOALS)),
+    imitation=Imitation(unseen=(*_MOTION_FIELDS, "progress")),
+    joint_unseen=_GOALS,
     # Rounds differ by a few percent, which 32 episodes do not tell.
     checks=128,
 )
@@ -476,7 +481,11 @@ def defaults(
     own = task_settings(env_id)
     if algorithm not in get_args(Algorithm):
         raise UnknownNameError("algorithm", str(algorithm), get_args(Algorithm))
+    if agents is None:
+        agents = "joint" if algorithm in IMITATION or init else own.agents
     settings: Reinforcement | Imitation = own.imitation
+    if algorithm in IMITATION and agents == "joint":
+        settings = dataclasses.replace(own.imitation, unseen=(*own.imitation.unseen, *own.joint_unseen))
     if algorithm not in IMITATION:
         # A checkpoint to begin with has a network of imitation's size, which is also the general one.
         settings = Reinforcement() if init else own.ppo if algorithm == "ppo" else own.sac
@@ -491,8 +500,6 @@ def defaults(
         asked["randomization"] = randomization
     usual = {**own.keywords, "randomization": own.randomization, "action_latency_ticks": LATENCY_TICKS}
     given = {**(usual if algorithm in IMITATION or init else own.from_scratch), **asked}
-    if agents is None:
-        agents = "joint" if algorithm in IMITATION or init else own.agents
     view_of(env_id, given)  # refuses keywords that make no environment before anything is made
     return Training(
         env_id=env_id,

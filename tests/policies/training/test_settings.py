@@ -59,6 +59,17 @@ def test_ppo_from_scratch_sees_the_goals_alone(task, keywords):
     assert seen == set(layout.indices(goals))
 
 
+@pytest.mark.parametrize("task", ["SineTracking", "SyncCarry", "Handover"])
+def test_one_network_for_both_arms_imitates_without_goals(task):
+    joint, shared = (defaults(task, "bc", agents) for agents in (None, "shared"))
+    assert joint.agents == "joint"
+    assert set(joint.settings.unseen) - set(shared.settings.unseen) == set(
+        {"SineTracking": ("other_flange_base_m", "other_flange_base_quat")}.get(
+            task, [each.name for each in GOAL_FIELDS]
+        )
+    )
+
+
 def test_arguments_override_the_defaults():
     asked = defaults(
         "SyncCarry",

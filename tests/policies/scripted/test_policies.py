@@ -226,7 +226,7 @@ def test_actions_stay_within_their_range():
     """As after late actions: the commands lag far behind."""
     env = gym.make(SINE)
     observation, _ = env.reset(seed=0)
-    observation[[12, 40 + 15]] += 0.3
+    observation[[12, 47 + 15]] += 0.3
     action = policies.load("scripted", SINE)(observation)
     assert env.action_space.contains(action)
     assert action[[0, 9]].tolist() == [-1.0, -1.0]
@@ -273,7 +273,7 @@ def test_unknown_names_and_wrong_observations():
         policies.load("scripted", "DualUR10/Juggling-v0")
     with pytest.raises(errors.SettingsError, match="tcp_delta"):
         policies.load("scripted", SINE, action_mode="tcp_delta")
-    with pytest.raises(errors.ActionError, match="80"):
+    with pytest.raises(errors.ActionError, match="94"):
         policies.load("scripted", SINE)(np.zeros(12))
 
 

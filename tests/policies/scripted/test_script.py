@@ -13,7 +13,7 @@ from dual_ur10.policies.scripted.base import Script, Wish
 
 N, TIMING = 3, Timing(0.04, 0.04)
 RNG = np.random.default_rng(0)
-SEEN = RNG.uniform(-1.0, 1.0, (5, N, 80))
+SEEN = RNG.uniform(-1.0, 1.0, (5, N, 94))
 
 
 class Nod(Script):

@@ -167,7 +167,7 @@ def test_every_kind_of_agents_trains(tmp_path, agents):
 @pytest.mark.parametrize(
     ("agents", "fields", "blind"),
     [
-        ("joint", ("flange_base_m", "rotation"), [18, 19, 20, 31, 32, 33, 58, 59, 60, 71, 72, 73]),
+        ("joint", ("flange_base_m", "rotation"), [18, 19, 20, 31, 32, 33, 65, 66, 67, 78, 79, 80]),
         ("shared", ("other_flange_base_quat", "rotation"), [31, 32, 33, 43, 44, 45, 46]),
     ],
 )

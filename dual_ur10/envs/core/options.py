@@ -15,7 +15,7 @@ from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.kinematics.robots import robot_model
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import CellConfig
-from dual_ur10.sim2real.control.adapter import ActionMode
+from dual_ur10.sim2real.control.adapter import ActionMode, ActionScale, scale_of_steps
 from dual_ur10.sim2real.control.command_queue import checked_latency
 
 DEFAULT_RATE_HZ = 25.0
@@ -50,6 +50,10 @@ class EnvOptions:
         policy_rate_hz: Actions per second. The period must be a whole number of controller ticks (8 ms on a CB3).
         action_mode: "joint_delta", "joint_position" or "tcp_delta"; see
             `dual_ur10.sim2real.control.adapter.ServojAdapter`.
+        action_scale: Factor of the steps that actions are, above 0 and at most 1: at 0.3 an action of 1 is a step of
+            0.3 of the speed limit. A number, or a mapping with a factor for some groups: "joints" of "joint_delta",
+            "translation" and "rotation" of "tcp_delta". Widths of grippers are no steps, nor are the actions of
+            "joint_position", for which a scale other than 1 is refused.
         action_latency_ticks: Ticks from an observation to the first target of its action. 0 is an ideal system.
             Develop a policy for real arms with the latency that it will have. None: 0 in simulation, and the ticks of
             40 ms on two controllers.
@@ -94,6 +98,7 @@ class EnvOptions:
     robot: str | tuple[str, str] | None = None
     policy_rate_hz: float = DEFAULT_RATE_HZ
     action_mode: ActionMode = "joint_delta"
+    action_scale: ActionScale = 1.0
     action_latency_ticks: int | None = None
     compensate_lag: bool = True
     on_refusal: OnRefusal | None = None
@@ -135,8 +140,9 @@ class EnvOptions:
             raise UnknownNameError("record_failure", str(self.record_failure), ["go on", "stop"])
         if self.record_about is not None:
             _check_about(self.record_about)
-        if not isinstance(self.action_mode, str):
+        if self.action_mode not in get_args(ActionMode):
             raise UnknownNameError("action mode", str(self.action_mode), get_args(ActionMode))
+        scale_of_steps(self.action_mode, self.action_scale)
         if self.observation not in get_args(ObservationKind):
             raise UnknownNameError("observation", str(self.observation), get_args(ObservationKind))
         if self.observation_dtype is not None and self.observation_dtype not in get_args(ObservationDtype):

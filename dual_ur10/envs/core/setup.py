@@ -6,6 +6,8 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any, Final
 
+import numpy as np
+
 from dual_ur10.assets.settings import Equipment, default_mount
 from dual_ur10.envs.core.options import MOVE_TO_START, OPTION_NAMES, EnvOptions
 from dual_ur10.envs.core.randomization import Randomization, resolve_randomization
@@ -15,7 +17,7 @@ from dual_ur10.ids import TASKS, env_id_of, load_object
 from dual_ur10.sim2real.config.cell import CellConfig, HostedCell
 from dual_ur10.sim2real.config.cell_file import resolve_cell
 from dual_ur10.sim2real.config.perturbation import Perturbation
-from dual_ur10.sim2real.control.adapter import ServojAdapter
+from dual_ur10.sim2real.control.adapter import ServojAdapter, scale_of_steps
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.processes.system import LOCAL, System
 
@@ -142,6 +144,15 @@ class EnvSetup:
         return {**found, **given}
 
     @property
+    def step_limits(self) -> MotionLimits:
+        """Motion limits with the joint speeds that steps can command."""
+        scale = scale_of_steps(self.options.action_mode, self.options.action_scale)
+        if self.options.action_mode != "joint_delta" or (scale == 1.0).all():
+            return self.limits
+        speed_rad_s = np.asarray(self.limits.speed_rad_s) * scale
+        return dataclasses.replace(self.limits, speed_rad_s=tuple(speed_rad_s.tolist()))
+
+    @property
     def contacts(self) -> bool:
         """True if bodies may touch in simulation: arms handle something, or differ from what the gate knows of them."""
         handles = self.requirements.equipment != Equipment()
@@ -169,6 +180,7 @@ class EnvSetup:
             self.ticks,
             n=n,
             mode=options.action_mode,
+            action_scale=options.action_scale,
             gripper=equipment.grippers and not equipment.welded,
             compensate_lag=options.compensate_lag,
             dh=[mount.dh for mount in mounts],

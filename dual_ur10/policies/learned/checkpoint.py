@@ -48,6 +48,7 @@ from dual_ur10.policies.learned.signature import (
     view_of_env,
     view_of_signature,
 )
+from dual_ur10.sim2real.control.adapter import scale_of_steps
 
 log = logging.getLogger(__name__)
 
@@ -334,6 +335,7 @@ _KEYWORD_OF: Final = {
     "rate.period_ticks": "policy_rate_hz",
     "rate.latency_ticks": "action_latency_ticks",
     "actions.mode": "action_mode",
+    "kwargs.action_scale": "action_scale",
     "actions.compensate_lag": "compensate_lag",
 }
 """Keywords of the environment that set these alone."""
@@ -376,6 +378,14 @@ def warn_outside(policy: LearnedPolicy, env: Any) -> None:
 def _misfits(made: EnvironmentSignature, here: EnvironmentSignature) -> Iterator[tuple[str, Any, Any]]:
     """Yield name and both values of whatever must be as in training and is not."""
     left, right = _flat(made), _flat(here)
+    if made.actions.mode == here.actions.mode:
+        then, now = (each.kwargs.get("action_scale", EnvOptions.action_scale) for each in (made, here))
+        try:
+            same = (scale_of_steps(made.actions.mode, then) == scale_of_steps(made.actions.mode, now)).all()
+        except ValueError as error:
+            raise CheckpointError(f"its kwargs make no environment: {error!s:.300}") from error
+        if not same:
+            yield "kwargs.action_scale", then, now
     for name in dict.fromkeys(("env_id", *_REMEDIES, *left)):
         if not name.startswith(_ONLY_WARNED) and not _same(left[name], right[name]):
             yield name, left[name], right[name]

@@ -31,6 +31,7 @@ from dual_ur10.sim2real.recording.header import built, field_types, plain
 OPTIONS: Final = (
     "policy_rate_hz",
     "action_mode",
+    "action_scale",
     "action_latency_ticks",
     "compensate_lag",
     "randomization",
@@ -95,7 +96,8 @@ class Actions(StrictJson):
         mode: See `dual_ur10.sim2real.control.adapter.ServojAdapter`.
         gripper: Each arm's action ends with a gripper width.
         compensate_lag: The adapter compensates the lag of `servoj`.
-        joint_step_rad: Step of each joint for an action of 1 with "joint_delta", else (); speed caps change it.
+        joint_step_rad: Step of each joint for an action of 1 with "joint_delta", else (); speed caps and
+            `action_scale` change it.
     """
 
     mode: ActionMode
@@ -208,8 +210,8 @@ class EnvironmentView:
         low, high = (each.reshape(-1).astype(np.float32) for each in adapter.action_bounds)
         concise = setup.options.concise
         self.layout = layout = task.concise_view().layout if concise else task.layout
-        steps = adapter.mode == "joint_delta"
-        step_rad = tuple((np.asarray(task.limits.speed_rad_s) * adapter.period_s).tolist()) if steps else ()
+        steps, speed_rad_s = adapter.mode == "joint_delta", np.asarray(task.limits.speed_rad_s)
+        step_rad = tuple((speed_rad_s * adapter.action_scale * adapter.period_s).tolist()) if steps else ()
         mounts = (config.left, config.right)
         self.signature = EnvironmentSignature(
             env_id=setup.env_id,

@@ -10,7 +10,7 @@ from dual_ur10.envs.tasks.handover.task import Handover
 from dual_ur10.envs.tasks.sync_carry.task import SyncCarry
 from dual_ur10.envs.tasks.task import Timing
 from dual_ur10.errors import UnknownNameError
-from dual_ur10.sim2real.control.adapter import TCP_ROTATION_RAD_S, TCP_STEP_M_S
+from dual_ur10.sim2real.control.adapter import TCP_ROTATION_RAD_S, TCP_STEP_M_S, ActionScale, scale_of_steps
 from dual_ur10.types import Array
 
 _RATIO: Final = 0.3  # of the step that is left, in each period
@@ -26,6 +26,7 @@ class GoalFollower:
         timing: Rate of actions.
         action_mode: "tcp_delta".
         settings: Settings of the task; None: the default ones.
+        action_scale: Factor of steps.
 
     Raises:
         UnknownNameError: Another action mode.
@@ -38,12 +39,14 @@ class GoalFollower:
         timing: Timing,
         action_mode: str = "tcp_delta",
         settings: Any = None,
+        action_scale: ActionScale = 1.0,
     ) -> None:
         if action_mode != "tcp_delta":
             raise UnknownNameError("action mode of the goal follower", action_mode, ["tcp_delta"])
         given: Any = self.task.settings_type() if settings is None else settings
         self._layout = self.task.layout_for(given)
-        self._most = np.repeat([TCP_STEP_M_S, TCP_ROTATION_RAD_S], 3) * timing.period_s
+        most = np.repeat([TCP_STEP_M_S, TCP_ROTATION_RAD_S], 3) * timing.period_s
+        self._most = most * scale_of_steps(action_mode, action_scale)
 
     def reset(self) -> None:
         """Do nothing: there is no state."""

@@ -193,6 +193,10 @@ def check_replayable(header: Header, config: CellConfig) -> None:
             )
 
 
+_KEPT: Final = ("action_scale",)
+"""Keywords on which the targets of an action depend."""
+
+
 def check_same_actions(header: Header, episode: Episode, core: Any) -> None:
     """Make sure that an environment interprets the actions of an episode as the recorded one did.
 
@@ -209,6 +213,10 @@ def check_same_actions(header: Header, episode: Episode, core: Any) -> None:
     count, *shape = episode.action.shape
     for what, found, expected in (
         ("ticks per action", header.period_ticks, adapter.ticks),
+        *(
+            (name, header.kwargs.get(name, getattr(type(core.options), name)), getattr(core.options, name))
+            for name in _KEPT
+        ),
         ("action mode", header.kwargs.get("action_mode", adapter.mode), adapter.mode),
         ("numbers of an action", int(np.prod(shape)), size),
         ("targets of an episode", episode.targets_rad.shape, (count, adapter.ticks, 2, 6)),

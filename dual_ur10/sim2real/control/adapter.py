@@ -8,14 +8,15 @@ matrices; the kernel applies them to each cell, and limits what breaks a limit.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Literal, NamedTuple, get_args
+import numbers
+from collections.abc import Mapping, Sequence
+from typing import Final, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.assets.settings import DEFAULT_TOOLS
-from dual_ur10.errors import UnknownNameError
+from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.kernel import RowLoop, Struct
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply, quat_to_matrix
 from dual_ur10.kinematics.ur10 import DHParameters
@@ -27,6 +28,15 @@ from dual_ur10.sim2real.control.time_scaling import interpolate
 from dual_ur10.types import Array, Rows
 
 ActionMode = Literal["joint_delta", "joint_position", "tcp_delta"]
+
+ActionScale = float | Mapping[str, float]
+
+ACTION_GROUPS: Final[dict[str, dict[str, slice]]] = {
+    "joint_delta": {"joints": slice(0, 6)},
+    "joint_position": {},
+    "tcp_delta": {"translation": slice(0, 3), "rotation": slice(3, 6)},
+}
+"""Numbers of an arm's action that are steps, by action mode and group. Positions and widths of grippers are none."""
 
 JOINT_MARGIN_RAD = 0.01
 """Margin inside the joint range of the gate at which the adapter brakes."""
@@ -80,6 +90,37 @@ class Command(NamedTuple):
     coupled: bool = False
 
 
+def scale_of_steps(mode: str, scale: object) -> Array:
+    """Return the factor of each of the six numbers of an arm's action, (6,).
+
+    Args:
+        mode: Action mode.
+        scale: One number for all steps, or one for each of some groups of `ACTION_GROUPS`; the others have 1.
+
+    Raises:
+        SettingsError: A number is not above 0 and at most 1, or actions of this mode are no steps.
+        UnknownNameError: The mode has no such group.
+    """
+    groups = ACTION_GROUPS[mode]
+    given = scale if isinstance(scale, Mapping) else dict.fromkeys(groups, scale)
+    if not groups and not (isinstance(scale, numbers.Real) and scale == 1.0):
+        raise SettingsError(
+            f"action_scale is {scale!r:.200}, but actions of {mode!r} are positions, not steps: leave it out, or "
+            f"choose another action_mode, {' or '.join(repr(name) for name, found in ACTION_GROUPS.items() if found)}"
+        )
+    result: Array = np.ones(6)
+    for name, value in given.items():
+        if name not in groups:
+            raise UnknownNameError(f"group of action_scale in {mode!r}", str(name), list(groups))
+        if isinstance(value, bool) or not isinstance(value, numbers.Real) or not 0.0 < float(value) <= 1.0:
+            raise SettingsError(
+                f"action_scale of {name} is {value!r:.200}: it must be a number above 0 and at most 1, at which an "
+                "action of 1 is a step at the speed limit"
+            )
+        result[groups[name]] = float(value)
+    return result
+
+
 class ServojAdapter:
     """Converts one action per cell into the servoj targets of one policy period.
 
@@ -96,6 +137,7 @@ class ServojAdapter:
             "tcp_delta": translation of the tool centre point from its last command, and rotation vector about it,
             along the axes of the cell frame, as fractions of 0.25 m/s and 0.5 rad/s; a step out of reach leaves that
             arm where it is, and steps towards a singularity shrink to zero (`cartesian_step`).
+        action_scale: Factor of steps, above 0 and at most 1; see `scale_of_steps`.
         gripper: An action has a seventh number per arm, the gripper's width: -1 closed, 1 open.
         compensate_lag: Send targets ahead by the law's inverse, so that the arms do not lag.
         dh: The arms' kinematics, for "tcp_delta".
@@ -117,6 +159,7 @@ class ServojAdapter:
         *,
         n: int = 1,
         mode: ActionMode = "joint_delta",
+        action_scale: ActionScale = 1.0,
         gripper: bool = False,
         compensate_lag: bool = True,
         dh: Sequence[DHParameters],
@@ -133,6 +176,7 @@ class ServojAdapter:
         self.profile, self.limits, self.ticks, self.n = profile, limits.narrowed(JOINT_MARGIN_RAD), ticks, n
         self.mode, self.gripper, self.compensate_lag, self.dh = mode, gripper, compensate_lag, tuple(dh)
         self._tcp_m = tuple(tcp_m)
+        self.action_scale = scale_of_steps(mode, action_scale)
         self.stroke_m: Array = np.array(stroke_m, dtype=np.float64)
         self.period_s, self.speed_factor = ticks * profile.tick_s, speed_factor
         # The law in task time.
@@ -198,7 +242,7 @@ class ServojAdapter:
             pursuit=self._targets_of(max(1, round(_PURSUIT_S / self.period_s)), self.ticks, free=True),
             pursuit_rate=self.limits.acceleration_rad_s2 / (2 * max(self.limits.speed_rad_s)),
             resume=self._resume_matrix(),
-            joint_step=speed * self.period_s,
+            joint_step=self.joint_step_rad,
             lower=self._approach * (np.tile(self.limits.lower_rad, 2) + _GOAL_MARGIN_RAD),
             upper=self._approach * (np.tile(self.limits.upper_rad, 2) - _GOAL_MARGIN_RAD),
             leash=self._leash,
@@ -325,6 +369,12 @@ class ServojAdapter:
         return seen
 
     @property
+    def joint_step_rad(self) -> Array:
+        """Steps of the joints for an action of 1 with "joint_delta", (12,)."""
+        step: Array = np.tile(np.asarray(self.limits.speed_rad_s) * self.action_scale, 2) * self.period_s
+        return step
+
+    @property
     def action_size(self) -> int:
         """Size of an action per arm."""
         return 7 if self.gripper else 6
@@ -373,7 +423,7 @@ class ServojAdapter:
     def _tcp_goal(self, action: Array) -> Array:
         """Return joint goals, (n, 2, 6), of Cartesian steps."""
         now = self.commanded_q_rad
-        asked = np.clip(action, -1.0, 1.0)
+        asked = np.clip(action, -1.0, 1.0) * self.action_scale
         goal = now.copy()
         for arm, dh in enumerate(self.dh):
             # One small product per cell, so that its last bit does not depend on how many others there are.

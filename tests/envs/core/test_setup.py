@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from dual_ur10 import CellConfig
+from dual_ur10 import CellConfig, policies
 from dual_ur10.envs.core.options import OPTION_NAMES
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.errors import SettingsError, UnknownKeywordError, UnknownNameError
@@ -38,6 +38,86 @@ def test_a_setup_holds_what_its_environment_has():
     low, high = setup.make_adapter().action_bounds
     assert np.array_equal(env.action_space.low, low.reshape(-1))
     assert np.array_equal(env.action_space.high, high.reshape(-1))
+
+
+@pytest.mark.parametrize("cell", ["mujoco", "echo"])
+@pytest.mark.parametrize(
+    ("mode", "scale", "factors"),
+    [
+        ("joint_delta", 0.25, (0.25, 0.25)),
+        ("joint_delta", {"joints": 0.5}, (0.5, 0.5)),
+        ("tcp_delta", 0.5, (0.5, 0.5)),
+        ("tcp_delta", {"rotation": 0.25}, (1.0, 0.25)),
+    ],
+)
+def test_scaled_actions_are_smaller_actions(cell, mode, scale, factors):
+    given = np.random.default_rng(0).uniform(-1.0, 1.0, (5, 2, 6))
+    paths = []
+    for action_scale, actions in ((scale, given), (1.0, given * np.repeat(factors, 3))):
+        env = gym.make("DualUR10/SineTracking-v0", cell=cell, action_mode=mode, action_scale=action_scale)
+        env.reset(seed=0)
+        paths.append([env.step(action.reshape(12))[0] for action in actions])
+        env.close()
+    np.testing.assert_array_equal(*paths)
+
+
+def test_widths_of_grippers_are_not_scaled():
+    env = gym.make("DualUR10/Handover-v0", action_scale=0.5).unwrapped
+    env.reset(seed=0)
+    command, _ = env.core.pipeline(np.ones(14))
+    np.testing.assert_array_equal(command.gripper_m[0, -1], env.core.pipeline.adapter.stroke_m)
+
+
+@pytest.mark.parametrize(
+    ("keywords", "error", "message"),
+    [
+        ({"action_scale": 0.0}, SettingsError, "joints is 0.0: it must be a number above 0 and at most 1"),
+        ({"action_scale": -0.5}, SettingsError, "above 0"),
+        ({"action_scale": 1.001}, SettingsError, "at most 1"),
+        ({"action_scale": float("nan")}, SettingsError, "above 0"),
+        ({"action_scale": True}, SettingsError, "must be a number"),
+        ({"action_scale": "small"}, SettingsError, "must be a number"),
+        ({"action_scale": {"joints": 2.0}}, SettingsError, "at most 1"),
+        ({"action_scale": {"rotation": 0.5}}, UnknownNameError, "'joints'"),
+        ({"action_scale": {"gripper": 0.5}, "action_mode": "tcp_delta"}, UnknownNameError, "'translation', 'rotation'"),
+        ({"action_scale": 0.5, "action_mode": "joint_position"}, SettingsError, "positions, not steps"),
+    ],
+)
+def test_an_illegal_scale_is_refused(keywords, error, message):
+    with pytest.raises(error, match=message):
+        EnvSetup.resolve("SineTracking", keywords)
+
+
+def test_positions_may_have_the_scale_of_all():
+    assert EnvSetup.resolve("SineTracking", {"action_scale": 1, "action_mode": "joint_position"})
+
+
+def test_a_script_tracks_with_scaled_actions():
+    commanded = []
+    for scale in (1.0, 0.7):
+        env = gym.make("DualUR10/SineTracking-v0", action_scale=scale).unwrapped
+        script = policies.load("scripted", "DualUR10/SineTracking-v0", action_scale=scale)
+        observation, _ = env.reset(seed=0)
+        for _ in range(40):
+            action = script(observation)
+            assert np.abs(action).max() <= 1.0
+            observation, *_ = env.step(action)
+        commanded.append(env.core.pipeline.adapter.commanded_q_rad)
+    np.testing.assert_allclose(*commanded, atol=1e-4)
+
+
+def test_a_goal_follower_knows_the_scale_of_its_actions():
+    keywords = {"action_mode": "tcp_delta"}
+    env = gym.make("DualUR10/Handover-v0", **keywords)
+    whole, scaled = (
+        policies.load("scripted", "DualUR10/Handover-v0", **keywords, action_scale=scale) for scale in (1.0, 0.5)
+    )
+    observation, _ = env.reset(seed=0)
+    for _ in range(15):
+        action, larger = (policy(observation).reshape(2, -1)[:, :6] for policy in (whole, scaled))
+        np.testing.assert_allclose(larger, np.clip(2.0 * action, -1.0, 1.0), atol=1e-6)
+        observation, *_ = env.step(whole(observation))
+    assert 0.01 < np.abs(action).min(where=np.abs(action) > 0.01, initial=1.0) < 0.5
 
 
 def test_contacts_are_left_out_only_for_nominal_arms_alone():

@@ -192,6 +192,8 @@ def test_environments_of_every_interface_are_accepted(tmp_path: Path) -> None:
             "policy_rate_hz=12.5, action_latency_ticks=3, compensate_lag=False",
         ),
         ({"action_mode": "tcp_delta"}, "action_mode='tcp_delta'"),
+        ({"action_scale": 0.3}, "action_scale=0.3"),
+        ({"action_scale": {"joints": 0.3}}, "action_scale={'joints': 0.3}"),
     ],
 )
 def test_keywords_of_the_training_are_named_as_to_type_them(

@@ -167,6 +167,7 @@ class Core:
         self._weights = np.array(list(self.weights.values()))
         self._terms = [f"reward/{name}" for name in self.weights]
         self._refused = np.zeros(n, dtype=bool)  # since the reset
+        self._braking: set[int] = set()  # rows refused in the step before
         rows = np.arange(n)
         clearance.check_start(self.task.start(rows, [np.random.default_rng(0) for _ in rows]).q_rad)
         self._state: CellState | None = None
@@ -244,6 +245,7 @@ class Core:
         self._clearance.check_start(start.q_rad)
         self.pipeline.reset(start.q_rad, rows, start.gripper_m)
         self._refused[rows] = False
+        self._braking -= set(rows.tolist())
         plant = apply_sample({name: value[rows] for name, value in self._plant.items()}, sampled)
         try:
             begun = cell.reset(start, rows, seeds=seeds, perturbation=plant)
@@ -303,6 +305,8 @@ class Core:
         measured = self.task.measure(state)
         outcome = self.task.evaluate(state, measured)
         refused = list(verdicts)
+        newly = [row for row in refused if row not in self._braking]
+        self._braking = set(refused)
         terminated, success = state.failed.copy(), outcome.success
         if refused:
             self._refused[refused] = True
@@ -314,7 +318,7 @@ class Core:
             success = success & ~(terminated | self._refused)
         if outcome.terminal is not None:
             terminated |= outcome.terminal
-        terms_of_arms = self._all_terms(outcome.terms, refused, success)
+        terms_of_arms = self._all_terms(outcome.terms, newly, success)
         terms = (terms_of_arms[:, 0] + terms_of_arms[:, 1]) / 2
         reward: Array = np.vecdot(terms, self._weights)
         info = self._measurements(state)
@@ -343,7 +347,7 @@ class Core:
             command = command._replace(payload_kg=payload_kg)
         return command._replace(coupled=bool(self.task.coupled()[0])) if self.config.controllers else command
 
-    def _all_terms(self, terms: Array, refused: list[int], success: Mask) -> Array:
+    def _all_terms(self, terms: Array, refused: Sequence[int], success: Mask) -> Array:
         """Return the terms of the arms with those of refusals and success, as far as there are weights for them."""
         count = terms.shape[2]
         if count == len(self._weights):

@@ -59,9 +59,10 @@ class EnvOptions:
             40 ms on two controllers.
         compensate_lag: Compensate the lag of `servoj` in the adapter.
         on_refusal: Reaction to a motion that the safety gate refuses. "terminate": the episode ends. "brake": both arms
-            of the cell brake, and the episode continues from rest. Each step of the brake costs a reward of 1, and the
-            episode cannot succeed, because on two controllers it would have ended. None: "brake" in simulation, so that
-            exploration is not cut short, and "terminate" on two controllers, where nothing else is possible.
+            of the cell brake, and the episode continues from rest. A refusal costs a reward of 1, once until a motion
+            is released again, and the episode cannot succeed, because on two controllers it would have ended. None:
+            "brake" in simulation, so that exploration is not cut short, and "terminate" on two controllers, where
+            nothing else is possible.
         reward: "dense", the weighted sum of the task's terms; or "sparse": 1 in the step that ends an episode with
             success, and 0 in all others, so that the return of an episode is 1 or 0. Its term is named "success"; those
             of the task, and that of refusals, stay in `info` and count nothing.

@@ -22,7 +22,7 @@ from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.processes.system import LOCAL, System
 
 REFUSAL: Final = "refusal"
-"""Reward term of a step in which the safety gate brakes."""
+"""Reward term of a step in which the safety gate refuses a motion, and none in the step before."""
 
 REFUSAL_WEIGHT: Final = -1.0
 """Its weight, unless another one is given: what the best step earns."""

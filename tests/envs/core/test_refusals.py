@@ -43,8 +43,8 @@ def test_an_episode_continues_after_the_brake():
     while step.verdicts:
         braking += 1
         assert not step.terminated[0]
-        assert step.info["reward/refusal"][0] == 1.0
-        assert step.reward[0] < 0.0
+        assert step.info["reward/refusal"][0] == (braking == 1)  # once per refusal, however long the brake takes
+        assert (step.reward[0] < 0.0) == (braking == 1)
         # The observed command is that of the brake, not what the policy wanted.
         commanded = core.task.layout.split(step.observation)["commanded_q_rad"][0]
         assert (commanded == core.pipeline.gate.last_targets_rad[0]).all()
@@ -56,6 +56,20 @@ def test_an_episode_continues_after_the_brake():
         assert not step.verdicts
         assert step.info["reward/refusal"][0] == 0.0
     assert np.abs(core.pipeline.adapter.commanded_q_rad - before).max() > 0.05
+
+
+def test_a_motion_that_is_refused_again_and_again_costs_once_until_another_is_released():
+    core = begun()
+    _, towards = until_refused(core)
+    costs, refused = [], []
+    for action in [towards] * 40 + [-towards] * 3 + [towards] * 40:
+        step = core.step(action)
+        costs.append(step.info["reward/refusal"][0])
+        refused.append(bool(step.verdicts))
+    assert sum(costs) == 1.0  # beside the first one
+    assert sum(refused) > 50
+    core.reset([np.random.default_rng(0)])
+    assert until_refused(core)[0].info["reward/refusal"][0] == 1.0
 
 
 def test_an_episode_with_a_refusal_is_no_success():

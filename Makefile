@@ -165,6 +165,7 @@ bench: $(VENV)/.dev $(KERNEL)  ## all benchmarks, figures to out/*.json
 	@$(VENV)/bin/python benchmarks/virtual_cell.py --json out/virtual_cell.json
 	@$(VENV)/bin/python benchmarks/calibration.py --json out/calibration.json
 	@$(VENV)/bin/python benchmarks/followers.py --json out/followers.json
+	@$(VENV)/bin/python benchmarks/returns.py --json out/returns.json
 	@$(VENV)/bin/python benchmarks/learning.py --json out/learning.json
 	@$(VENV)/bin/python benchmarks/collection.py --json out/collection.json
 

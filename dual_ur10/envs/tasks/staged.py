@@ -23,7 +23,7 @@ Progress = Number | tuple[Number, Number]
 StageMethod = Callable[[Any, Any], tuple[Number, Progress]]
 
 FINISH: Final = "finish"
-"""Reward term of success: the number of steps that remain when an episode ends with it."""
+"""Reward term of success: the number of steps that remain when an episode ends with it, times its quality."""
 
 
 class _Stage(NamedTuple):
@@ -178,6 +178,10 @@ class StagedTask(Task[SettingsT, MeasuredT], Generic[SettingsT, MeasuredT, NowT]
         """Return a mask of rows that end in failure, (n,)."""
         return False
 
+    def quality(self, now: NowT) -> Number:
+        """Return the factor of the term `FINISH`, (n,): at least 1, or staying would earn more than success."""
+        return 1.0
+
     def values(self, measured: MeasuredT) -> Mapping[str, Array]:
         """Return further values for `info`, after the stages are evaluated."""
         return {}
@@ -198,7 +202,8 @@ class StagedTask(Task[SettingsT, MeasuredT], Generic[SettingsT, MeasuredT, NowT]
             ended = self._settled >= self._settled_steps
             terminal = ended | lost
             success = done & ~lost & (ended | over)
-            terms[..., -1] = (np.maximum(self._steps - self._count, 0) * (ended & ~lost))[:, None]
+            spared = np.maximum(self._steps - self._count, 0) * (ended & ~lost)
+            terms[..., -1] = (spared * self.quality(now))[:, None]
         info: dict[str, Any] = {"stage": self.passed.copy(), **self.values(measured)}
         return Outcome(terms, success, over & ~terminal, info, terminal)
 

@@ -35,7 +35,7 @@ def gripper(between=False, holds=False, opening=0.085, near=0.5, closes=False):
     return between, holds, opening, near, closes
 
 
-def facts(giving=None, receiving=None, height=0.02, meeting=0.5, placed=False):
+def facts(giving=None, receiving=None, height=0.02, meeting=0.5, placed=False, error=5.0):
     """Return the facts of one handover, or, from tuples of values, of several."""
     between, holds, opening, near, closes = zip(giving or gripper(), receiving or gripper(), strict=True)
     wider = [(each - WIDTH_M) / (0.085 - WIDTH_M) for each in opening]
@@ -52,6 +52,7 @@ def facts(giving=None, receiving=None, height=0.02, meeting=0.5, placed=False):
         height_m=height,
         off_m=meeting,
         laid=placed,
+        error=error,
         lost=False,
     )
 
@@ -147,6 +148,8 @@ def test_terms_rise_within_a_stage_and_are_one_after_it():
         (6, facts(gripper(near=0.5), HOLDS), facts(gripper(near=0.9), HOLDS)),
         (6, facts(gripper(True), HOLDS), facts(gripper(), away)),
         (6, facts(receiving=away), facts(receiving=HOLDS)),
+        (6, facts(error=5.0), facts(error=2.0)),  # let go beside the target
+        (6, facts(error=1.1), facts(receiving=away)),
     ]
     for k, far, near in nearer:
         low, high = (terms(each, k).mean(axis=0) for each in (far, near))
@@ -164,6 +167,16 @@ def test_each_arm_earns_its_own_terms():
     approach = [terms(facts(HOLDS, gripper(near=near), 0.3, 0.03), 4)[:, 4] for near in (0.2, 0.9)]
     assert approach[0][1] < approach[1][1]
     assert approach[0][0] == approach[1][0]
+
+
+def test_the_receiver_earns_its_waiting_as_far_as_the_giver_has_come():
+    waiting = gripper(near=0.9)
+    path = [gripper(near=0.4), gripper(near=0.8), gripper(True), HOLDS]
+    scenes = [facts(each, waiting) for each in path] + [facts(HOLDS, waiting, height=h) for h in (0.05, 0.1)]
+    earned = [terms(scene, 0)[1, 3] for scene in scenes]
+    assert earned == sorted(set(earned))
+    assert earned[0] < 0.1 * earned[-1]
+    assert earned[-1] == pytest.approx(scenes[-1].near[1])
 
 
 @pytest.mark.parametrize("where", [{"height": 0.3, "meeting": 0.06}, {"height": 0.07, "meeting": 0.03}])

@@ -1,107 +1,92 @@
-"""Order of returns in the tasks with objects: nothing that stops short of success earns as much as success."""
+"""Order of returns: what people would call better earns more, and what is not the task earns little."""
 
-from __future__ import annotations
-
+import importlib
+import pathlib
 from itertools import pairwise
 
-import numpy as np
+import pytest
 
-from dual_ur10 import policies
-from dual_ur10.envs.api.vector_env import DualArmVectorEnv
-from tests.soak import SOAK
-
-HANDOVER, CARRY = "DualUR10/Handover-v0", "DualUR10/SyncCarry-v0"
+HANDOVER, CARRY = (f"DualUR10/{name}-v0" for name in ("Handover", "SyncCarry"))
+FLOORS = ("zero", "uniform", "normal")
 
 
-def hold(action):
-    """Stop all joints; the grippers keep their command."""
-    arms = action.reshape(2, -1)
-    arms[:, :6] = 0.0
-    return action
+@pytest.fixture
+def earned(monkeypatch):
+    """Function that returns mean returns of behaviours of the benchmark and means of their terms, by name.
+
+    Returns of floors are there without the cost of refusals, too.
+    """
+    monkeypatch.syspath_prepend(pathlib.Path(__file__).parents[3] / "benchmarks")
+    benchmark = importlib.import_module("returns")
+
+    def measure(env_id, *names, seeds=(3,), **keywords):
+        behaviours = benchmark.behaviours_of(env_id)
+        found = benchmark.measure(env_id, {name: behaviours[name] for name in names}, seeds, **keywords)
+        returns = {}
+        for name, row in found.items():
+            returns[name] = float(row["return"].mean())
+            returns |= {f"{name}: {key}": float(value.mean()) for key, value in row.items()}
+            if name in FLOORS:
+                returns[f"{name} without refusals"] = returns[name] - returns[f"{name}: refusals"]
+        return returns
+
+    return measure
 
 
-def release(action):
-    """Stop all joints and open the grippers."""
-    arms = action.reshape(2, -1)
-    arms[:, :6], arms[:, 6] = 0.0, 1.0
-    return action
+def falls(returns, *names):
+    """Assert that each of these behaviours earns less than the one before."""
+    assert all(returns[better] > returns[worse] for better, worse in pairwise(names)), [(n, returns[n]) for n in names]
 
 
-class Row:
-    """The scripted policy until a condition on reward terms holds, and from then on something else."""
-
-    def __init__(self, env_id, ends, instead):
-        self.policy, self.ends, self.instead = policies.load("scripted", env_id), ends, instead
-        self.changed = self.over = False
-        self.earned = 0.0
-
-    def __call__(self, observation, seen):
-        self.changed = self.changed or self.ends(seen)
-        action = self.policy(observation).copy()
-        return self.instead(action) if self.changed else action
+def earns_little(returns, script):
+    """Assert that doing nothing or anything earns at most a tenth of the script's return."""
+    floors = {name: value for name, value in returns.items() if name.startswith(FLOORS) and ":" not in name}
+    assert max(floors.values()) <= 0.1 * script, floors
 
 
-def returns(env_id, rows, seed=3):
-    """Return the return of an episode of each row."""
-    env = DualArmVectorEnv(len(rows), env_id, autoreset_mode="Disabled")
-    observation, info = env.reset(seed=[seed] * len(rows))
-    seen = dict.fromkeys(("stage", "clock_s"), np.full(len(rows), -np.inf))
-    while not all(row.over for row in rows):
-        shown = [{name: values[k] for name, values in seen.items()} for k in range(len(rows))]
-        action = [np.zeros(14) if row.over else row(observation[k], shown[k]) for k, row in enumerate(rows)]
-        observation, reward, terminated, truncated, info = env.step(np.array(action, dtype=np.float32))
-        seen = {name: info[name] for name in seen if name in info}
-        over = terminated | truncated
-        for k, row in enumerate(rows):
-            if not row.over:
-                row.earned += float(reward[k])
-                row.over = bool(over[k])
-        if over.any() and not all(row.over for row in rows):
-            observation, _ = env.reset(options={"reset_mask": over})
-    env.close()
-    return [row.earned for row in rows]
+def test_a_handover_pays_for_what_is_done(earned):
+    """Doing nothing, a disturbed script, and staying in each stage in ways that lead nowhere."""
+    found = earned(HANDOVER, *FLOORS, "script")
+    earns_little(found, found["script"])
+    honest = {number: f"holds at stage {number}" for number in range(1, 7)}
+    cheats = {f"releases at stage {number}": number for number in (2, 4, 6)} | {
+        "shakes at stage 0": 1,
+        "opens and closes at stage 1": 2,  # it grasps
+        "shakes at stage 4": 4,
+    }
+    disturbed = [
+        *("10 mm beside", "20 mm beside", "100 mm beside", "left arm only", "right arm only"),
+        *("waits 0.6 s at each stage", "stops after 50 %", "stops after 25 %"),
+    ]
+    found |= earned(HANDOVER, *disturbed, *honest.values(), *cheats, max_episode_steps=330)
+    falls(found, "script", "10 mm beside", "20 mm beside", "100 mm beside")
+    falls(found, "script", "waits 0.6 s at each stage")
+    falls(found, "script", "stops after 50 %", "stops after 25 %", "right arm only")
+    falls(found, "script", "left arm only", "right arm only")
+    falls(found, "script", *reversed(honest.values()), "zero")
+    for name, stage in cheats.items():
+        assert found[name] <= found[honest[stage]], (name, found)
 
 
-def never(seen):
-    return False
-
-
-def at_once(seen):
-    return True
-
-
-def test_no_stage_of_a_handover_is_worth_staying_in():
-    """The script, then: nothing, random steps, then holding still in each stage, and letting go in each."""
-    rng = np.random.default_rng(0)
-
-    def randomly(action):
-        return rng.uniform(-1.0, 1.0, 14)
-
-    def stage(k):
-        return lambda seen: seen["stage"] >= k
-
-    rows = [Row(HANDOVER, never, hold), Row(HANDOVER, at_once, hold), Row(HANDOVER, at_once, randomly)]
-    rows += [Row(HANDOVER, stage(k), instead) for k in range(1, 7) for instead in (hold, release)]
-    script, zero, random, *cheats = returns(HANDOVER, rows)
-    assert random < zero < min(cheats[:2])
-    assert max(cheats) < 0.9 * script
-    held = cheats[::2]
-    assert all(early <= late for early, late in pairwise(held)), held  # no stage is worth less than the one before
-
-
-def test_no_part_of_a_carry_is_worth_staying_in():
-    """The script, then: nothing, random steps; holding still, and letting go, with the bar gripped or lifted."""
-    rng = np.random.default_rng(0)
-
-    def randomly(action):
-        return rng.uniform(-1.0, 1.0, 14)
-
-    def clock(s):
-        return lambda seen: seen["clock_s"] >= s
-
-    rows = [Row(CARRY, never, hold), Row(CARRY, at_once, hold), Row(CARRY, at_once, randomly)]
-    instants = (-0.5, 8.0, 20.0) if SOAK else (-0.5, 20.0)
-    rows += [Row(CARRY, clock(s), instead) for s in instants for instead in (hold, release)]
-    script, zero, random, *cheats = returns(CARRY, rows)
-    assert random < zero < min(cheats)
-    assert max(cheats) < 0.9 * script
+def test_a_carry_pays_for_what_is_done(earned):
+    """Doing nothing, a disturbed script, and what holds the bar, or follows its reference, without carrying it."""
+    script = earned(CARRY, "script")["script"]
+    names = [
+        *("script", "5 mm beside", "20 mm beside", "100 mm beside"),
+        *("left arm only", "right arm only", "pauses 50 %"),
+        *(f"stops after {share} %" for share in (25, 50, 75)),
+        *("holds the bar on the table", "shakes the bar on the table", "opens and closes"),
+        *("follows with open fingers", "releases half-way", "shakes half-way"),
+    ]
+    found = earned(CARRY, *FLOORS, *names, max_episode_steps=260)
+    earns_little(found, script)
+    falls(found, "script", "5 mm beside", "20 mm beside", "100 mm beside", "holds the bar on the table")
+    falls(found, "script", "pauses 50 %", "holds the bar on the table")
+    falls(found, "script", "stops after 75 %", "stops after 50 %", "stops after 25 %")
+    falls(found, "holds the bar on the table", "shakes the bar on the table", "follows with open fingers", "zero")
+    falls(found, "holds the bar on the table", "opens and closes", "left arm only")
+    falls(found, "stops after 50 %", "releases half-way", "right arm only")
+    falls(found, "stops after 50 %", "shakes half-way")
+    for name in ("holds the bar on the table", "100 mm beside"):
+        for term in ("orientation", "synchrony", "squeeze"):  # arms that stand still have these, too
+            assert found[f"{name}: reward/{term}"] <= found[f"{name}: reward/position"]

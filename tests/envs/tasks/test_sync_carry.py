@@ -116,7 +116,8 @@ def test_scripted_figures(keywords, slip_mm, relative_mm, degrees, squeeze_n):
     speed = np.abs(np.diff(column(infos, "q_rad"), axis=0)).max() / task.timing.period_s
     assert speed < max(task.limits.speed_rad_s)
     assert not any("safety" in info for info in infos)
-    assert column(air, "reward").min() > 0.95
+    # The script grips 13 mm below the goal that leads learners, which leaves 0.91 of the term "reach".
+    assert column(air, "reward").min() > (0.94 if slip_mm else 0.95)
 
 
 @pytest.mark.parametrize("tools", [("generic_140", "robotiq_2f85"), ("robotiq_2f85", "generic_140")])

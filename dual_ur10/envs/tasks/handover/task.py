@@ -41,6 +41,7 @@ _TARGET, _BEFORE, _SHOULDERS = 1, 2, slice(3, 5)  # pairs of `HandoverGoals.to_b
 STILL_M_S = 0.02
 """Speed below which the block counts as still."""
 
+_PRECISION = 0.03  # further part of the term "finish" that a block exactly on its target earns
 _FALLEN_M = -0.03  # height of the middle of a block that is no longer on the table
 _BEYOND_M = BLOCK_SIZE_M[0] / 2  # from a shoulder farther than its tool: out of reach
 
@@ -75,6 +76,7 @@ class Facts(NamedTuple):
         carried: True if the giver holds the lifted block.
         presented: True if it does so at the transfer.
         placed: True if the block lies still on its target, and no gripper holds it.
+        error: Error of its position from its target, 1 at the largest of a success.
         lost: True if it fell, or lies where no arm can reach it.
     """
 
@@ -87,6 +89,7 @@ class Facts(NamedTuple):
     carried: Number
     presented: Number
     placed: Number
+    error: Number
     lost: Number
 
 
@@ -102,6 +105,7 @@ def facts_of(
     height_m: Number,
     off_m: Number,
     laid: Number,
+    error: Number,
     lost: Number,
 ) -> Facts:
     """Return the facts that follow from what is measured.
@@ -117,6 +121,7 @@ def facts_of(
         height_m: Height of the block's middle.
         off_m: Distance of the block from the transfer.
         laid: True if the block lies still on its target.
+        error: Error of its position from there, 1 at the largest of a success.
         lost: True if it is lost.
     """
     near = [near * (to + (1.0 - to) * (0.8 + 0.2 * by)) for near, to, by in zip(nearness, closes, opened, strict=True)]
@@ -125,7 +130,7 @@ def facts_of(
     carried = holds[0] & (raised > 1.0)
     presented = carried & (off_m < MEETING_RANGE_M)
     placed = laid & (holds[0] + holds[1] < 1)
-    return Facts(between, holds, near, shut, clear, raised, carried, presented, placed, lost)
+    return Facts(between, holds, near, shut, clear, raised, carried, presented, placed, error, lost)
 
 
 class Handover(StagedTask[HandoverSettings, HandoverMeasured, Facts]):
@@ -229,13 +234,15 @@ class Handover(StagedTask[HandoverSettings, HandoverMeasured, Facts]):
     Progress is mostly the nearness (`dual_ur10.envs.tasks.geometry.ToolSteps`) of a tool to its goal in the present phase
     (`dual_ur10.envs.tasks.handover.goals`).
 
-    - *reach* (0.1): passed when the giver's grip of the block is between its fingers. Giver, 2: twice its nearness.
+    - *reach* (0.1): passed when the giver's grip of the block is between its fingers. Giver, 2: twice its squared
+      nearness, which is small where an episode begins.
     - *grasp* (0.1): passed when the giver holds the block. Giver, 2: while the grip is between its fingers, its
       nearness, and the closed fraction of its gripper once that is its goal.
     - *lift* (0.1): passed when the giver holds the block with its middle more than 8 cm above the table. Giver, 2: while
       it holds the block, twice the fraction of that height.
     - *present* (0.1): passed when the lifted block is presented. Giver, 1: its nearness while it holds the lifted
-      block. Receiver, 1: its nearness, from the first step on.
+      block. Receiver, 1: its nearness, from the first step on, times the giver's progress: a third each of its squared
+      nearness until it has reached the block, of holding it, and of the height to which it has lifted it.
     - *mutual_grasp* (0.15): passed when both hold the lifted block. Giver, 1: its nearness while the block is presented.
       Receiver, 1: while the block is presented, 0.6 of its nearness, and 0.4 of the closed fraction of its gripper once
       that is its goal.
@@ -244,9 +251,11 @@ class Handover(StagedTask[HandoverSettings, HandoverMeasured, Facts]):
       are 7 mm wider than the block, and 0.5 of its nearness; receiver, 0.5: 0.5 of its nearness.
     - *place* (0.3): passed when the block lies still on its target, within `success_error_m` and `success_turn_rad`, and
       no gripper holds it. While the receiver holds it: giver, 0.4: 0.2 of how far its fingers have opened, and 0.2 of
-      its nearness; receiver, 1.6: 1.3 times its nearness, once the giver has left the block.
-    - *finish* (1.0): both. At a step that ends an episode with success, the number of its remaining steps; otherwise 0.
-      It replaces the reward of the remaining steps, so that hovering near the target earns no more than success.
+      its nearness; receiver, 1.6: 1.3 times its nearness, once the giver has left the block. A receiver that has let
+      the block go elsewhere: 0.2 / (1 + error / `success_error_m`).
+    - *finish* (1.0): both. At a step that ends an episode with success, the number of its remaining steps, times
+      1 + 0.03 (1 - error / `success_error_m`); otherwise 0. It replaces the reward of the remaining steps, so that hovering
+      near the target earns no more than success.
 
     `info["stage"]` is the number of stages passed in their order, 0 to 7, and never falls in an episode. `info` also
     holds these values without noise:
@@ -407,7 +416,7 @@ class Handover(StagedTask[HandoverSettings, HandoverMeasured, Facts]):
     @stage(weight=0.1, earned=(2.0, 0.0))
     def reach(self, now: Facts) -> tuple[Number, Progress]:
         """Bring the giver's fingers around its grip."""
-        return now.between[0], (now.near[0], 0.0)
+        return now.between[0], (now.near[0] * now.near[0], 0.0)
 
     @stage(weight=0.1, earned=(2.0, 0.0))
     def grasp(self, now: Facts) -> tuple[Number, Progress]:
@@ -422,7 +431,9 @@ class Handover(StagedTask[HandoverSettings, HandoverMeasured, Facts]):
     @stage(weight=0.1, early=(False, True))
     def present(self, now: Facts) -> tuple[Number, Progress]:
         """Bring the block to the transfer; the receiver waits at home, from the first step on."""
-        return now.presented, (now.carried * now.near[0], now.near[1])
+        (near, waits), inside, gives = now.near, now.between[0], now.holds[0]
+        reached = inside + (1.0 - inside) * near * near
+        return now.presented, (now.carried * near, waits * (reached + gives * (1.0 + ratio(now.raised))) / 3.0)
 
     @stage(weight=0.15)
     def mutual_grasp(self, now: Facts) -> tuple[Number, Progress]:
@@ -444,7 +455,11 @@ class Handover(StagedTask[HandoverSettings, HandoverMeasured, Facts]):
         """Put the block down on its target, and open the receiver's fingers."""
         receives, left = now.holds[1], now.between[0] < 1
         giver = 0.5 * (now.near[0] + now.clear[0])
-        return now.placed, (receives * giver, (receives & left) * (1.3 / 1.6) * now.near[1])
+        carries, lies = (
+            (receives & left) * (1.3 / 1.6) * now.near[1],
+            (1.0 - receives) * (0.2 / 1.6) / (1.0 + now.error),
+        )
+        return now.placed, (receives * giver, carries + lies)
 
     def facts(self, state: CellState, measured: HandoverMeasured) -> Facts:
         """Compute the facts of this step."""
@@ -468,6 +483,7 @@ class Handover(StagedTask[HandoverSettings, HandoverMeasured, Facts]):
             height_m=now.height_m,
             off_m=now.off_m,
             laid=near_target & (still_m < self._still_m),
+            error=now.error_m / self.settings.success_error_m,
             lost=far | (now.height_m < _FALLEN_M),
         )
 
@@ -478,6 +494,10 @@ class Handover(StagedTask[HandoverSettings, HandoverMeasured, Facts]):
             np.copyto(self._slip_from_m, grasped.grip_in_tool_m, where=~grasped.holding[..., None])
         else:
             self._slip_from_m[...] = grasped.grip_in_tool_m
+
+    def quality(self, now: Facts) -> Number:
+        """Return the factor of the term *finish*, which is larger for a smaller error."""
+        return 1.0 + _PRECISION * ratio(1.0 - now.error)
 
     def lost(self, now: Facts) -> Number:
         """Return the rows whose block fell, or cannot be reached."""

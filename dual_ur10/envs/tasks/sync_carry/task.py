@@ -168,15 +168,16 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
     ## Rewards
 
     The reward is the weighted sum of terms between 0 and 1, each the mean over the arms; each raw term is in `info` as
-    `reward/<term>`. The terms from *position* on count only while both grippers hold the bar.
+    `reward/<term>`. The terms from *position* on count only while both grippers hold the bar, and those after it as far as
+    the bar is where it belongs: arms that stand still keep their distance, too.
 
-    - *reach* (0.6): nearness of the tool to its goal (`dual_ur10.envs.tasks.geometry.ToolSteps`), which is its grip on the bar's
+    - *reach* (0.6): squared nearness of the tool to its goal (`dual_ur10.envs.tasks.geometry.ToolSteps`), which is its grip on the bar's
       reference now, from behind until the gripper holds the bar.
     - *grasp* (0.2): 1 if the gripper holds the bar; until then half of its closed fraction, once to close is its goal.
     - *position* (0.05): 0.1^((distance of the bar to its reference / 30 mm)²).
-    - *orientation* (0.05): 0.1^((angle of the bar from its reference / 0.1 rad)²).
-    - *synchrony* (0.05): 0.1^((error of the position of one flange in the frame of the other / 5 mm)²).
-    - *squeeze* (0.05): 0.1^((internal force along the bar / 30 N)²).
+    - *orientation* (0.05): *position* times 0.1^((angle of the bar from its reference / 0.1 rad)²).
+    - *synchrony* (0.05): *position* times 0.1^((error of the position of one flange in the frame of the other / 5 mm)²).
+    - *squeeze* (0.05): *position* times 0.1^((internal force along the bar / 30 N)²).
 
     `info` also holds these values without noise:
 
@@ -382,9 +383,12 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         wanted = self._goals(grasped)
         terms = np.empty((self.n, 2, len(self.weights)))
         closes, holds = wanted.closes.astype(np.float64), holding.astype(np.float64)
-        np.multiply(wanted.steps.nearness, np.maximum(0.8 + 0.2 * grasped.opened, closes), out=terms[..., 0])
+        nearness = wanted.steps.nearness
+        np.multiply(nearness * nearness, np.maximum(0.8 + 0.2 * grasped.opened, closes), out=terms[..., 0])
         np.maximum(0.5 * (closes * grasped.closed), holds, out=terms[..., 1])
-        terms[..., 2:] = (gaussian(errors, _MARGINS) * both[:, None])[:, None]
+        precise = gaussian(errors, _MARGINS) * both[:, None]
+        precise[:, 1:] *= precise[:, :1]
+        terms[..., 2:] = precise[:, None]
         info = {
             "slip_m": slip_m,
             "squeeze_n": internal_n,

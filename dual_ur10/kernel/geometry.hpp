@@ -203,15 +203,13 @@ EXPORT void goal_steps(const GoalSteps* s, int64_t first, int64_t last) {
     }
 }
 
-// Errors of both flanges from references, whose orientations are the same in every row, and terms of a reward: `closeness`,
-// the mean of s / (s + distance) over the scales, with chords on a lever; and gaussians of the distance, of the chord, and
-// of the error `apart_m` of the vector between the flanges, 0.1 at the margins. `other_flange` is the pose of the other
-// flange in each arm's base: the row of its pose in its own base, with a 1 behind it, times the arm's matrix in `others`.
+// Errors of both flanges from references, whose orientations are the same in every row; `apart_m` is that of the vector
+// between the flanges. `other_flange` is the pose of the other flange in each arm's base: the row of its pose in its own
+// base, with a 1 behind it, times the arm's matrix in `others`.
 #define TRACKING(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                               \
-    INT(n) REAL(lever_m) REALS(scales_m, 3) REALS(margins, 3) REALS(reference_quat, 8) REALS(others, 112)              \
-    REALS(flange_m, n * 6) REALS(flange_base_m, n * 6) REALS(flange_quat, n * 8) REALS(reference_m, n * 6)             \
-    REALS(turn, n * 6) REALS(off_m, n * 2) REALS(chord, n * 2) REALS(apart_m, n) REALS(closeness, n * 2)               \
-    REALS(near, n * 6) REALS(other_flange, n * 14)
+    INT(n) REALS(reference_quat, 8) REALS(others, 112) REALS(flange_m, n * 6) REALS(flange_base_m, n * 6)              \
+    REALS(flange_quat, n * 8) REALS(reference_m, n * 6) REALS(turn, n * 6) REALS(off_m, n * 2) REALS(chord, n * 2)     \
+    REALS(apart_m, n) REALS(other_flange, n * 14)
 
 STRUCTURE(Tracking, TRACKING)
 
@@ -228,14 +226,8 @@ EXPORT void track(const Tracking* s, int64_t first, int64_t last) {
             geometry::between(conjugate, inverse, turn);
             const Vector half = (turn[0] < 0.0 ? -2.0 : 2.0) * vector(turn + 1);
             write(half, s->turn + 3 * at);
-            const double off_m = geometry::length(at & 1 ? right : left), chord = geometry::length(half);
-            s->off_m[at] = off_m;
-            s->chord[at] = chord;
-            s->closeness[at] = 0.0;
-            for (int k = 0; k < 3; ++k)
-                s->closeness[at] += s->scales_m[k] / (3.0 * (s->scales_m[k] + (off_m + s->lever_m * chord)));
-            const double distances[3] = {off_m, chord, s->apart_m[row]};
-            for (int k = 0; k < 3; ++k) s->near[3 * at + k] = gaussian(distances[k], s->margins[k]);
+            s->off_m[at] = geometry::length(at & 1 ? right : left);
+            s->chord[at] = geometry::length(half);
             const double *there_m = s->flange_base_m + 3 * (at ^ 1), *there = s->flange_quat + 4 * (at ^ 1);
             const double pose[7] = {there_m[0], there_m[1], there_m[2], there[0], there[1], there[2], there[3]};
             const double* matrix = s->others + 56 * (at & 1);

@@ -425,8 +425,6 @@ class Tracked(NamedTuple):
         off_m: (n, 2) distance.
         chord: (n, 2) chord of the rotation.
         apart_m: (n,) error of the vector between the flanges.
-        closeness: (n, 2) mean over three scales s of s / (s + d), where d is the distance plus the chord on a lever.
-        near: (n, 2, 3) 0.1^((x / margin)²) of distance, chord, and the error of the vector between the flanges.
         other_flange: (n, 2, 7) pose of the other flange in the `base` frame of each arm: position and quaternion.
     """
 
@@ -434,36 +432,26 @@ class Tracked(NamedTuple):
     off_m: Array
     chord: Array
     apart_m: Array
-    closeness: Array
-    near: Array
     other_flange: Array
 
 
 class Tracking:
-    """Errors of n pairs of flanges from references, and terms of a reward.
+    """Errors of n pairs of flanges from references.
 
     Args:
         n: Number of cells.
         frames: Frames of both arms.
         quat: (2, 4) orientations of both references in the arms' `base` frames.
-        margins: Distance (m), chord and error between the flanges (m) at which `Tracked.near` is 0.1.
-        scales_m: Scales of `Tracked.closeness`.
-        lever_m: Lever with which it includes the chord.
     """
 
-    def __init__(
-        self, n: int, frames: Frames, quat: Array, margins: Sequence[float], scales_m: Sequence[float], lever_m: float
-    ) -> None:
+    def __init__(self, n: int, frames: Frames, quat: Array) -> None:
         self._flange_m, self._flange_base_m, self._reference_m = (np.zeros((n, 2, 3)) for _ in range(3))
         self._flange_quat: Array = np.zeros((n, 2, 4))
-        shapes = (2, 3), (2,), (2,), (), (2,), (2, 3), (2, 7)
+        shapes = (2, 3), (2,), (2,), (), (2, 7)
         self._found = Tracked(*[np.zeros((n, *shape)) for shape in shapes])
         struct = Struct(
             "Tracking",
             n=n,
-            lever_m=lever_m,
-            scales_m=np.array(scales_m),
-            margins=np.array(margins),
             reference_quat=np.ascontiguousarray(quat),
             others=np.ascontiguousarray(frames.others_pose),
             flange_m=self._flange_m,

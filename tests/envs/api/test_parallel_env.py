@@ -186,7 +186,7 @@ def test_values_of_two_arms_are_divided_and_the_rest_is_shared():
     for name in ("q_rad", "flange_m", "flange_error_m", "orientation_error_rad", "reference_m"):
         for k, arm in enumerate(ARMS):
             assert np.array_equal(infos[arm][name], info[name][k])
-    for name in ("is_success", "reward/position", "reward/orientation", "reward/synchrony"):
+    for name in ("is_success", "reward/approach", "reward/position", "reward/synchrony"):
         assert infos["left"][name] == infos["right"][name] == info[name]
 
 

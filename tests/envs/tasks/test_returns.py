@@ -4,9 +4,12 @@ import importlib
 import pathlib
 from itertools import pairwise
 
+import numpy as np
 import pytest
 
-HANDOVER, CARRY = (f"DualUR10/{name}-v0" for name in ("Handover", "SyncCarry"))
+from dual_ur10.envs.core.core import Core
+
+SINE, HANDOVER, CARRY = (f"DualUR10/{name}-v0" for name in ("SineTracking", "Handover", "SyncCarry"))
 FLOORS = ("zero", "uniform", "normal")
 
 
@@ -42,6 +45,40 @@ def earns_little(returns, script):
     """Assert that doing nothing or anything earns at most a tenth of the script's return."""
     floors = {name: value for name, value in returns.items() if name.startswith(FLOORS) and ":" not in name}
     assert max(floors.values()) <= 0.1 * script, floors
+
+
+def test_sine_tracking_pays_for_following(earned):
+    """Doing nothing, a disturbed script, and what comes close to the reference without following it."""
+    beside = [f"{each} mm beside" for each in (1, 5, 8, 20, 100)]
+    partly = ["stops after 25 %", "pauses 50 %", "left arm only", "right arm only"]
+    cheats = ["at the extreme", "from extreme to extreme", "the other way", "shaking at the centre"]
+    more = "stops after 75 %", "stops after 50 %", "pauses 10 %", "2 periods late", "5 periods late"
+    found = earned(SINE, *FLOORS, "script", *beside, *partly, *cheats, *more, duration_s=8.0, soft_start_s=0.5)
+    earns_little(found, found["script"])
+    falls(found, "script", *beside)
+    falls(found, "script", "stops after 75 %", "stops after 50 %", "stops after 25 %")
+    falls(found, "script", "pauses 10 %", "pauses 50 %")
+    falls(found, "script", "2 periods late", "5 periods late")
+    assert found["8 mm beside"] >= 0.5 * found["script"]
+    assert max(found[name] for name in cheats) < min(found[name] for name in partly), found
+
+
+@pytest.mark.parametrize("what", ["off_m", "chord"])
+def test_sine_tracking_leads_from_any_distance(what):
+    """The reward of arms that stay off their references falls steadily, over the whole workspace."""
+    errors = np.geomspace(1e-4, 1.5, 60)
+    core = Core(SINE, {}, n=len(errors), threads=1)
+    core.reset([np.random.default_rng(0) for _ in errors])
+    measured = core.task.measure(core._state)
+    off = measured.errors._replace(**{what: np.stack([errors] * 2, axis=1)})
+    for _ in range(2):  # at rest in the second
+        terms = core.task.evaluate(core._state, measured._replace(errors=off)).terms
+    rewards = terms.mean(axis=1) @ list(core.task.weights.values())
+    core.close()
+    slope = np.diff(rewards) / np.diff(errors)
+    assert (slope < 0.0).all(), slope
+    assert (slope[errors[1:] < 0.5] < -0.01).all(), slope
+    assert (terms >= 0.0).all()  # an early end is never worth more than going on
 
 
 def test_a_handover_pays_for_what_is_done(earned):

@@ -161,18 +161,3 @@ def test_the_observed_step_leads_the_commanded_flanges_to_their_references():
     exact = 2.0 * np.arcsin(angle / 2.0) / angle
     step = quat_to_matrix(quat_from_rotvec(fields["step_rad"] * exact[..., None]))
     assert np.abs(step @ turned - quat_to_matrix(TOOL_DOWN_QUAT)).max() < 1e-12
-
-
-def test_approach_leads_from_any_distance():
-    core = Core("SineTracking", {"randomize": False})
-    core.reset([np.random.default_rng(0)])
-    state, found = core._state, []
-    for away_m in np.linspace(0.0, 0.6, 61):
-        moved = state._replace(flange_m=state.flange_m + np.array([0.0, 0.0, away_m]))
-        terms = core.task.evaluate(moved, core.task.measure(moved)).terms[0]
-        assert np.allclose(terms[0], terms[1], atol=1e-9)
-        found.append(terms[0])
-    approach, position, *_ = np.array(found).T
-    assert approach[0] == pytest.approx(1.0, abs=1e-3)
-    assert (np.diff(approach) < -1e-3).all()
-    assert position[5] < 1e-10

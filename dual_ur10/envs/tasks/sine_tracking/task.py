@@ -9,7 +9,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from dual_ur10.assets.settings import home_q_rad
-from dual_ur10.envs.tasks.geometry import Goal, GoalSteps, Tracked, Tracking, frame_of
+from dual_ur10.envs.tasks.geometry import Goal, GoalSteps, Tracked, Tracking, frame_of, length
 from dual_ur10.envs.tasks.observation_layout import (
     ARM_FIELDS,
     Field,
@@ -25,7 +25,7 @@ from dual_ur10.envs.tasks.sine_tracking.settings import (
     path_check,
     sample_path,
 )
-from dual_ur10.envs.tasks.task import Outcome, Task, Timing
+from dual_ur10.envs.tasks.task import Outcome, Task, Timing, gaussian
 from dual_ur10.kinematics import nearest
 from dual_ur10.kinematics.frames import Frames
 from dual_ur10.kinematics.poses import Poses
@@ -34,12 +34,11 @@ from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.types import Array, Rows
 
-# Distance at which a term is 0.1: position error of a flange, its angle, error of the vector between the flanges.
-_MARGINS = 0.01, 0.02, 0.005
-# Distances at which a third of the term "approach" is halved: success, the margins' order, and the workspace.
-_SCALES_M = 0.003, 0.03, 0.3
+_NEAR_M, _FAR_M = 0.012, 0.03  # errors at which the terms "position" and "approach" have fallen to their halves
+_APART_M = 0.005  # error of the vector between the flanges at which the factor of the term "synchrony" is 0.1
 _NOW_AHEAD_NOW = np.array([0, 1, 0])[:, None, None]
-_LEVER_M = 0.5  # distance that an angle counts as, per rad: the ratio of the margins
+_LEVER_M = 0.5  # distance that an angle counts as, per rad: 0.02 rad as 10 mm
+_LATE_S = 0.1  # time that an error of the velocity counts for: 31 mm for arms at rest where the default sine is fastest
 
 
 class SineMeasured(NamedTuple):
@@ -121,11 +120,14 @@ class SineTracking(Task[SineSettings, SineMeasured]):
 
     The reward is the weighted sum of terms between 0 and 1; each raw term is in `info` as `reward/<term>`.
 
-    - *approach* (0.4): mean over the arms, and over s of 3, 30 and 300 mm, of s / (s + d), where d is the flange error
-      plus 0.5 m times the angle. It leads from any distance in the workspace.
-    - *position* (0.4): mean over the arms of 0.1^((flange error / 10 mm)²).
-    - *orientation* (0.1): mean over the arms of 0.1^((angle / 0.02 rad)²).
-    - *synchrony* (0.1): 0.1^((error of the vector from flange to flange / 5 mm)²), which one arm alone cannot earn.
+    All of them depend on one error of each arm: distance from the reference, plus 0.5 m times the angle, plus 0.1 s times
+    the error of the velocity over the last period. So arms at rest earn little where the reference passes them, and those
+    that follow it some millimetres off earn more than half.
+
+    - *approach* (0.15): mean over the arms of 30 mm / (30 mm + error). It leads from any distance in the workspace.
+    - *position* (0.75): mean over the arms of 1 / (1 + (error / 12 mm)²).
+    - *synchrony* (0.1): *position* of one arm times that of the other, times 0.1^((error of the vector from flange to
+      flange / 5 mm)²). One arm alone cannot earn it, nor can two that stand still.
 
     `info["is_success"]` is true at the end of an episode in which the root mean square error of both flanges over all
     steps is at most `success_rms_m`; `info["flange_rms_m"]` is the value of each arm so far.
@@ -177,7 +179,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
     limits: MotionLimits = MotionLimits(
         speed_rad_s=(1.2,) * 6, acceleration_rad_s2=10.0, jerk_rad_s3=2000.0, tcp_speed_m_s=1.5
     )
-    weights: ClassVar[dict[str, float]] = {"approach": 0.4, "position": 0.4, "orientation": 0.1, "synchrony": 0.1}
+    weights: ClassVar[dict[str, float]] = {"approach": 0.15, "position": 0.75, "synchrony": 0.1}
     settings_type: ClassVar[type[SineSettings]] = SineSettings
     layout: ObservationLayout = ObservationLayout(
         *ARM_FIELDS,
@@ -212,7 +214,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         self._check(settings)
         frames = Frames(mounts)
         self._base_m, self._to_base = frames.base_m, frames.rotation
-        self._track = Tracking(n, frames, np.stack([TOOL_DOWN_QUAT] * 2), _MARGINS, _SCALES_M, _LEVER_M)
+        self._track = Tracking(n, frames, np.stack([TOOL_DOWN_QUAT] * 2))
         self.horizon = self._duration = max(1, math.ceil(settings.duration_s / timing.period_s - 1e-9))
         # Of the sine, in `base` now and ahead, and in the cell frame: centres and amplitudes.
         self._center: Array = np.zeros((n, 3, 2, 3))
@@ -223,6 +225,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         self._steps = GoalSteps(n, 2, (Goal(0), Goal(1)), mounts, in_bases=True, tcp_m=(0.0, 0.0))
         self._ahead: Array = np.tile(frame_of(Poses(np.zeros(3), TOOL_DOWN_QUAT)), (n, 2, 1))
         self._squares: Array = np.zeros((n, 2))
+        self._away_m: Array = np.zeros((n, 2, 3))  # from references to flanges, one period ago
         self._count = np.zeros(n, dtype=np.int64)
 
     def start(self, rows: Rows, rngs: Sequence[np.random.Generator]) -> Start:
@@ -245,7 +248,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
             omega = 2 * math.pi * settings.frequency_hz
             self._omega[row] = omega
             self._phase[row] = settings.phase_rad + omega * self._when
-        self._squares[rows] = 0.0
+        self._squares[rows] = self._away_m[rows] = 0.0
         self._count[rows] = 0
         mounts = self.cell.left, self.cell.right
         home, down = home_q_rad(mounts), np.broadcast_to(quat_to_matrix(TOOL_DOWN_QUAT), (len(rows), 3, 3))
@@ -296,7 +299,14 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         """Evaluate reward terms, success and end."""
         errors = measured.errors
         terms = np.empty((self.n, 2, len(self.weights)))
-        terms[..., 0], terms[..., 1:] = errors.closeness, errors.near
+        away_m = state.flange_m - measured.reference_m
+        moved_m, self._away_m = length(away_m - self._away_m), away_m
+        error_m = errors.off_m + _LEVER_M * errors.chord + (_LATE_S / self.timing.period_s) * moved_m
+        near = error_m / _NEAR_M
+        position = 1.0 / (1.0 + near * near)
+        terms[..., 0] = _FAR_M / (_FAR_M + error_m)
+        terms[..., 1] = position
+        terms[..., 2] = (position[:, 0] * position[:, 1] * gaussian(errors.apart_m, _APART_M))[:, None]
         self._squares += errors.off_m * errors.off_m
         self._count += 1
         over = self._count >= self._duration

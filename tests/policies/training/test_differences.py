@@ -90,9 +90,11 @@ def test_a_finish_counts_for_the_time_that_is_left_and_at_most_for_ever(duration
         left -= 1
     assert over.all()
     assert infos[0]["end_reason"] == ("solved_after_refusal" if refused else "success")
-    finish = (1.0 - GAMMA) * left
-    assert (finish > 1.0) == most
-    assert np.allclose(change, (state - left - before) + min(finish, 1.0), rtol=0, atol=1e-9)
+    spared = np.array([info["reward/finish"] for info in infos])
+    assert np.allclose(spared, 1.03 * left, rtol=1e-3)  # as precise as can be
+    finish = (1.0 - GAMMA) * spared
+    assert ((finish > 1.0) == most).all()
+    assert np.allclose(change, (state - spared - before) + np.minimum(finish, 1.0), rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("refusals", [0.0, 0.5, 1.0])

@@ -84,26 +84,6 @@ static inline SineCosine sine_cosine(double angle) {
     return {(quarter & 2) ? -odd : odd, (quarter == 1 || quarter == 2) ? -even : even};
 }
 
-// Exponential by Taylor series around a multiple of log 2, whose remainder stays below 1e-17; 0 far below.
-static inline double exponential(double x) {
-    if (!(x > -700.0)) return x != x ? x : 0.0;
-    const double nearest = 6755399441055744.0;
-    const double twos = (x * 1.4426950408889634074 + nearest) - nearest;
-    const double r = (x - twos * 6.93147180369123816490e-01) - twos * 1.90821492927058770002e-10;
-    double sum = 1.0;
-    for (int k = 15; k > 0; --k) sum = 1.0 + r * sum / k;
-    const int64_t bits = (static_cast<int64_t>(twos) + 1023) << 52;
-    double scale;
-    memcpy(&scale, &bits, sizeof scale);
-    return sum * scale;
-}
-
-// 1 at distance 0 and 0.1 at `margin`.
-static inline double gaussian(double distance, double margin) {
-    const double scaled = distance / margin, log_tenth = -2.3025850929940456840;
-    return exponential(scaled * scaled * log_tenth);
-}
-
 struct Vector {
     double x, y, z;
 };

@@ -152,7 +152,7 @@ def test_the_reward_leads_to_the_goals_that_are_observed(grasp):
         near_m, near = np.moveaxis(fields["goal_closeness"], -1, 0)
         left_m, turn = 0.01 * (1.0 / near_m - 1.0), 0.03 * (1.0 / near - 1.0)
         move = 1.0 - left_m + 0.5 * (0.03 / (0.03 + left_m) + 0.3 / (0.3 + left_m))
-        nearness = 0.25 * (move + 1.0 - 0.5 * turn + 0.5 * (0.2 / (0.2 + turn) + 1.0 / (1.0 + turn)))
+        nearness = (0.25 * (move + 1.0 - 0.5 * turn + 0.5 * (0.2 / (0.2 + turn) + 1.0 / (1.0 + turn)))) ** 2
         grasped = np.ones((2, 2))
         if grasp == "friction":
             wide = fields["opening"][..., 0] * WIDE

@@ -83,11 +83,11 @@ def test_each_arm_observes_the_other_flange_in_its_own_base():
 def test_success_is_the_accuracy_of_both_arms_in_the_whole_episode():
     task = EnvSetup.resolve("SineTracking", {"duration_s": 0.12}).make_task(4)
     off_m = np.array([[0.004, 0.0], [0.0, 0.004], [0.002, 0.002], [0.0, 0.0]])
-    zeros = np.zeros((4, 2))
+    zeros = np.zeros((4, 2, 3))
 
     def evaluate(factor=1.0):
-        errors = SimpleNamespace(off_m=factor * off_m, closeness=zeros, near=zeros[..., None], chord=zeros)
-        return task.evaluate(None, SimpleNamespace(errors=errors, reference_m=zeros))
+        errors = SimpleNamespace(off_m=factor * off_m, chord=np.zeros((4, 2)), apart_m=np.zeros(4))
+        return task.evaluate(SimpleNamespace(flange_m=zeros), SimpleNamespace(errors=errors, reference_m=zeros))
 
     assert not any(evaluate().over.any() for _ in range(2))
     outcome = evaluate()

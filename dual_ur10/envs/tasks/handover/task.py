@@ -483,7 +483,7 @@ class Handover(StagedTask[HandoverSettings, HandoverMeasured, Facts]):
             height_m=now.height_m,
             off_m=now.off_m,
             laid=near_target & (still_m < self._still_m),
-            error=now.error_m / self.settings.success_error_m,
+            error=error_m / self.settings.success_error_m,
             lost=far | (now.height_m < _FALLEN_M),
         )
 

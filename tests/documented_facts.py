@@ -26,7 +26,7 @@ SOURCES = [
     (BENCHMARKS, r"^\| noisy \| (?P<handed>\d+ of \d+) \|[^|]*\| (?P<handed_s>\S+) /"),
     (TRUE_ERRORS, r"^\| wide \| (?P<wide_script>\d+ of \d+) \|"),
     (TRUE_ERRORS, r"^\| wide, bases and age as in mild \| \*\*(?P<wide_known>\d+ of \d+)\*\*"),
-    (BENCHMARKS, r'^SineTracking, "wide", default path: (?P<wide_learned>\d+) of 300 each'),
+    (BENCHMARKS, r'^SineTracking, "wide", default path: (?P<wide_learned>\d+ and \d+) of 300'),
     (
         BENCHMARKS,
         r"^PPO from scratch, SineTracking \([^)]*\): success in (?P<ppo_sine>\d+ of \d+) episodes with each, "

@@ -114,7 +114,7 @@ class PegInsertion(ur.GraspingTask[PegSettings, Facts]):
         """Return the scene: two grippers, the peg and the plate."""
         near, props = ur.Camera("near", (0.5, 0.4, 0.45), target_m=(0.0, 0.05, 0.2)), (PEG, plate(settings.clearance_m))
         equipment = ur.Equipment(grippers=True, props=props, grip_force_n=200.0, cameras=(near,))
-        return ur.SceneRequirements(equipment, timestep_s=0.001, gains="compliant", closer=ur.PICKING)
+        return ur.SceneRequirements(equipment, timestep_s=0.001, gains=ur.COMPLIANT, closer=ur.PICKING)
 
     def start(self, rows: ur.Rows, rngs: Sequence[np.random.Generator]) -> ur.Start:
         """Sample where peg and plate stand."""

@@ -124,7 +124,7 @@ class TrayBalance(ur.GraspingTask[TraySettings, Facts]):
         """Return the scene: two grippers, the tray, the ball and the goal."""
         near = ur.Camera("near", position_m=(0.75, 0.4, 0.65), target_m=(0.0, 0.0, 0.1))
         equipment = ur.Equipment(grippers=True, props=(TRAY, BALL, GOAL), grip_force_n=100.0, cameras=(near,))
-        return ur.SceneRequirements(equipment, timestep_s=0.001, gains="compliant", closer=ur.PICKING)
+        return ur.SceneRequirements(equipment, timestep_s=0.001, gains=ur.COMPLIANT, closer=ur.PICKING)
 
     def start(self, rows: ur.Rows, rngs: Sequence[np.random.Generator]) -> ur.Start:
         """Sample the places of tray, ball and goal."""

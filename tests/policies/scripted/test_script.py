@@ -133,7 +133,7 @@ def test_openings_in_some_rows_only_are_refused():
             opened = self.opened = not getattr(self, "opened", False)
             yield Wish(fields["commanded_q_rad"], np.ones(2) if opened else None)
 
-    policy, seen = Some(TIMING), RNG.uniform(-1.0, 1.0, (N, 112))
+    policy, seen = Some(TIMING), RNG.uniform(-1.0, 1.0, (N, 2 * Handover.layout.size))
     with pytest.raises(SettingsError, match=r"Some states openings in row 0 and none in row 1: state them in every"):
         policy(seen)
     assert policy(seen[:1]).shape == (1, 12)  # all begin anew

@@ -185,7 +185,7 @@ def test_unknown_unseen_fields_are_refused_before_training(tmp_path):
 
 @pytest.mark.parametrize(
     ("agents", "observed", "actions"),
-    [("joint", [*range(12, 18), *range(52, 58)], list(range(12))), ("shared", list(range(12, 18)), list(range(6)))],
+    [("joint", [*range(12, 18), *range(59, 65)], list(range(12))), ("shared", list(range(12, 18)), list(range(6)))],
 )
 def test_the_commanded_joints_are_scattered(tmp_path, monkeypatch, agents, observed, actions):
     seen = []

@@ -14,6 +14,7 @@ from dual_ur10 import policies
 from dual_ur10.envs.api.sb3_bridge import JointVecEnv, TwoAgentVecEnv
 from dual_ur10.errors import SettingsError, TrainingError, UnknownNameError
 from dual_ur10.policies.learned import checkpoint
+from dual_ur10.policies.learned.signature import view_of
 from dual_ur10.policies.training import folder, models, state
 from dual_ur10.policies.training import reinforcement as reinforce
 from dual_ur10.policies.training.models import Differences
@@ -147,9 +148,9 @@ def test_the_cells_of_a_training_do_not_end_their_episodes_together(tmp_path, mo
 
 
 def test_a_network_that_sees_nothing_is_refused_before_anything_is_made(tmp_path):
-    """All that learners of Handover see are the agents' own fields."""
+    every = view_of("DualUR10/Handover-v0", {}).layout.names
     with pytest.raises(TrainingError, match="agents is 'joint'"):
-        train(defaults("Handover", "ppo", "joint"), tmp_path / "out")
+        train(defaults("Handover", "ppo", "joint", changes={"unseen": every}), tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
@@ -157,7 +158,11 @@ def test_a_network_that_sees_nothing_is_refused_before_anything_is_made(tmp_path
 def test_a_network_may_see_unscaled_values_and_logs_keep_the_reward_of_the_task(scaled):
     settings = defaults("Handover", "ppo", changes={"scaled": scaled}).settings
     env = TwoAgentVecEnv("Handover", 2, reward="individual", threads=1, max_episode_steps=8)
+    env.seed(0)
+    env.reset()
+    earned = sum(env.step(np.zeros((4, 7), dtype=np.float32))[1] for _ in range(8))
     _, around = models.make("ppo", env, settings, 0, unseen=[1])
+    env.seed(0)
     around.reset()
     for _ in range(8):
         _, _, over, infos = around.step(np.zeros((4, 7)))
@@ -165,7 +170,7 @@ def test_a_network_may_see_unscaled_values_and_logs_keep_the_reward_of_the_task(
     moved = np.flatnonzero(around.obs_rms.mean != 0.0)
     assert 1 in moved
     assert (len(moved) > 1) == scaled
-    assert all(info["episode"]["r"] > 0.5 for info in infos)  # its changes are 0.1 in sum
+    assert [info["episode"]["r"] for info in infos] == pytest.approx(earned, rel=1e-4)  # not its changes
     env.close()
 
 
@@ -237,7 +242,7 @@ def test_ppo_can_begin_with_the_result_of_dagger(tmp_path):
         np.testing.assert_allclose(found, wanted, atol=1e-5)
         seen.append(wanted)
         observation, *_ = env.step(rng.uniform(-1, 1, (2, 12)).astype(np.float32))
-    assert np.abs(np.array(seen)).max() > 0.1
+    assert np.abs(np.array(seen)).max() > 0.05
     env.close()
     path = train(asked, tmp_path / "ppo")
     assert checkpoint.read_manifest(path).training["from_checkpoint"] is True

@@ -30,36 +30,32 @@ enum Mode { STEP = 0, POSITION = 1, GOAL_GIVEN = 2 };
     INTS(later_kinds, later_rows) REALS(later, later_rows * 11) REALS(limits, 36) INT(meetings)                        \
     INTS(periods, meetings) INTS(curved, meetings) REALS(pursuit, ticks * 11) REAL(pursuit_rate)                       \
     REALS(resume, 4 * width) REALS(joint_step, 12) REALS(lower, 12) REALS(upper, 12) REALS(leash, 12)                  \
-    REALS(state, n * 132) INTS(rest, n) REALS(commanded, n * 12) REALS(action, n * 2 * size) REALS(targets, n * ticks * 12)          \
+    REALS(state, n * 132) REALS(before, n * 132) INTS(rest, n) REALS(commanded, n * 12) REALS(action, n * 2 * size) REALS(targets, n * ticks * 12)          \
     REALS(widths_m, n * ticks * 2) REALS(most_m, 2) REALS(goal, n * 12) REALS(lowest, 2 * size) REALS(highest, 2 * size)   \
-    INTS(clipped, n)
+    INTS(clipped, n) REALS(links, 156) REALS(tool_m, 2) REAL(turn_m)
 
 STRUCTURE(Adapter, ADAPTER)
 
 namespace {
 
-// The legal window nearest to a planned one that breaks a limit.
-//
-// It is coasting, at the speed it has, plus a fraction of the step from there to the planned targets. Every limit is
-// linear in the fraction, so the largest legal one is a minimum over ratios. One fraction for all twelve joints keeps
-// the direction of the step, and with it the relative pose of two arms. Where coasting itself would exceed a limit, the
-// brake takes its place, which the last period left possible: a fraction of zero is always legal.
-void limit(const Envelope& e, const double* planned, double* window) {
-    const int64_t count = e.ticks * JOINTS;
-    const Scratch scratch(e.width * JOINTS), wanted_scratch(e.width * JOINTS), base(count);
+// Continue three past targets by rows (ticks, 3): coasting, or the brake.
+void follow(const Envelope& e, const double* rows, double* window) {
     double past[HISTORY * JOINTS];
     const double* last = window + (HISTORY - 1) * JOINTS;
     double* targets = window + HISTORY * JOINTS;
     for (int64_t k = 0; k < HISTORY; ++k)
         for (int64_t j = 0; j < JOINTS; ++j) past[k * JOINTS + j] = window[k * JOINTS + j] - last[j];
-    const auto follow = [&](const double* rows) {
-        multiply(rows, e.ticks, HISTORY, past, base);
-        for (int64_t k = 0; k < e.ticks; ++k)
-            for (int64_t j = 0; j < JOINTS; ++j) base[k * JOINTS + j] += last[j];
-        copy(targets, base, count);
-    };
-    follow(e.coast);
-    if (!is_legal(e, window, scratch, FULL, CARTESIAN_FULL)) follow(e.brake);
+    multiply(rows, e.ticks, HISTORY, past, targets);
+    for (int64_t k = 0; k < e.ticks; ++k)
+        for (int64_t j = 0; j < JOINTS; ++j) targets[k * JOINTS + j] += last[j];
+}
+
+// Lead the targets of a legal window as far towards planned ones as the limits allow.
+void depart(const Envelope& e, const double* planned, double* window) {
+    const int64_t count = e.ticks * JOINTS;
+    const Scratch scratch(e.width * JOINTS), wanted_scratch(e.width * JOINTS), base(count);
+    double* targets = window + HISTORY * JOINTS;
+    copy(base, targets, count);
     const Quantities used(e, window, scratch), wanted(e, planned, wanted_scratch);
     double fraction = 1.0, now[JOINTS], then[JOINTS];
     const Scratch speed(e.speed_rows * JOINTS), gained(e.speed_rows * JOINTS);
@@ -93,6 +89,19 @@ void limit(const Envelope& e, const double* planned, double* window) {
     }
     fraction = 0.0;
     take();
+}
+
+// The legal window nearest to a planned one that breaks a limit.
+//
+// It is coasting, at the speed it has, plus a fraction of the step from there to the planned targets. Every limit is
+// linear in the fraction, so the largest legal one is a minimum over ratios. One fraction for all twelve joints keeps
+// the direction of the step, and with it the relative pose of two arms. Where coasting itself would exceed a limit, the
+// brake takes its place, which the last period left possible: a fraction of zero is always legal.
+void limit(const Envelope& e, const double* planned, double* window) {
+    const Scratch scratch(e.width * JOINTS);
+    follow(e, e.coast, window);
+    if (!is_legal(e, window, scratch, FULL, CARTESIAN_FULL)) follow(e, e.brake, window);
+    depart(e, planned, window);
 }
 
 // Of twelve joints, 1 where the commands, (4, 12), are smooth, 0 where they are not. Returns true if any is above 0.
@@ -196,11 +205,35 @@ struct Plan {
     }
 };
 
-void step(const Adapter& a, int64_t row, const double* action, double* targets) {
-    const Envelope& e = *a.envelope;
+// The path's position, speed, acceleration and jerk, (4, 12), after targets that are not those of a plan.
+void resume(const Adapter& a, const double* state, const double* window, double* end) {
+    const int64_t width = a.envelope->width;
+    const double* last = state + (HISTORY - 1) * JOINTS;
+    const Scratch known(a.width * JOINTS);
+    copy(known, window, width * JOINTS);
+    copy(known + width * JOINTS, state + NOW * JOINTS, 2 * JOINTS);  // position and speed of the path
+    // Relative to the last target: joints that rest do so to the last bit.
+    for (int64_t i = 0; i < (width + 1) * JOINTS; ++i) known[i] -= last[i % JOINTS];
+    multiply(a.resume, 4, a.width, known, end);
+    for (int64_t j = 0; j < JOINTS; ++j) end[j] += last[j];
+}
+
+// Take a window as the targets of a row, and the end of its path as the state from which the next period continues.
+void keep(const Adapter& a, int64_t row, const double* window, const double* end) {
     const int64_t ticks = a.ticks;
     double *state = a.state + row * ROWS * JOINTS, *commanded = a.commanded + row * JOINTS;
     double *goal = state + GOAL * JOINTS, *now = state + NOW * JOINTS;
+    memmove(state + GOALS * JOINTS, state + (GOALS + 1) * JOINTS, sizeof(double) * (GOAL - GOALS) * JOINTS);
+    copy(now, end, 4 * JOINTS);
+    copy(state, window + ticks * JOINTS, HISTORY * JOINTS);
+    for (int64_t j = 0; j < JOINTS; ++j) commanded[j] = clamp(goal[j], now[j] - a.leash[j], now[j] + a.leash[j]);
+    copy(a.targets + row * ticks * JOINTS, window + HISTORY * JOINTS, ticks * JOINTS);
+}
+
+void step(const Adapter& a, int64_t row, const double* action) {
+    const Envelope& e = *a.envelope;
+    double *state = a.state + row * ROWS * JOINTS, *goal = state + GOAL * JOINTS;
+    const double* commanded = a.commanded + row * JOINTS;
     bool clipped = false;
     for (int64_t k = 0; k < 2 * a.size; ++k) clipped |= action[k] < a.lowest[k] || action[k] > a.highest[k];
     a.clipped[row] += clipped;
@@ -210,6 +243,7 @@ void step(const Adapter& a, int64_t row, const double* action, double* targets) 
         const double here = (1.0 - a.approach) * goal[j - JOINTS];  // the last goal
         goal[j] = clamp(aim, here + a.lower[j], here + a.upper[j]);
     }
+    copy(a.before + row * ROWS * JOINTS, state, ROWS * JOINTS);
     const Scratch window(e.width * JOINTS), scratch(e.width * JOINTS);
     double end[4 * JOINTS];
     copy(window, state, HISTORY * JOINTS);
@@ -229,22 +263,13 @@ void step(const Adapter& a, int64_t row, const double* action, double* targets) 
     }
     a.rest[row] = periods > 1 ? 2 * (periods - 1) + curved : 0;
     if (!periods) {
-        const Scratch planned(e.width * JOINTS), known(a.width * JOINTS);
+        const Scratch planned(e.width * JOINTS);
         copy(planned, window, e.width * JOINTS);
         plan.pursue(planned + HISTORY * JOINTS);
         limit(e, planned, window);
-        copy(known, window, e.width * JOINTS);
-        copy(known + e.width * JOINTS, now, 2 * JOINTS);  // position and speed of the path
-        // Relative to the last target: joints that rest do so to the last bit.
-        for (int64_t i = 0; i < (e.width + 1) * JOINTS; ++i) known[i] -= plan.last[i % JOINTS];
-        multiply(a.resume, 4, a.width, known, end);
-        for (int64_t j = 0; j < JOINTS; ++j) end[j] += plan.last[j];
+        resume(a, state, window, end);
     }
-    memmove(state + GOALS * JOINTS, state + (GOALS + 1) * JOINTS, sizeof(double) * (GOAL - GOALS) * JOINTS);
-    copy(now, end, 4 * JOINTS);
-    copy(state, window + ticks * JOINTS, HISTORY * JOINTS);
-    for (int64_t j = 0; j < JOINTS; ++j) commanded[j] = clamp(goal[j], now[j] - a.leash[j], now[j] + a.leash[j]);
-    copy(targets, window + HISTORY * JOINTS, ticks * JOINTS);
+    keep(a, row, window, end);
 }
 
 }  // namespace
@@ -254,7 +279,7 @@ void step(const Adapter& a, int64_t row, const double* action, double* targets) 
 EXPORT void adapter_step(const Adapter* a, int64_t first, int64_t last) {
     for (int64_t row = first; row < last; ++row) {
         const double* action = a->action + row * 2 * a->size;
-        step(*a, row, action, a->targets + row * a->ticks * JOINTS);
+        step(*a, row, action);
         for (int64_t k = 0; a->size == 7 && k < 2 * a->ticks; ++k)
             a->widths_m[row * 2 * a->ticks + k] = (clamp(action[6 + 7 * (k & 1)], -1.0, 1.0) + 1.0) * (a->most_m[k & 1] / 2.0);
     }

@@ -24,10 +24,16 @@ struct Placed {
     operator Body*() const { return reinterpret_cast<Body*>(memory.data); }
 };
 
-// Poses of all geoms at a configuration: body k > 0 turns with joint k - 1, body 0 is the world.
-void place(const Clearance& c, const double* q, Body* placed) {
+// Frames of all bodies: body k > 0 turns with joint k - 1, body 0 is the world.
+struct Chain {
     Vector positions[JOINTS + 1];
     Rotation turned[JOINTS + 1];
+};
+
+// Poses of all bodies and geoms at a configuration.
+void place(const Clearance& c, const double* q, Body* placed, Chain& chain) {
+    Vector* positions = chain.positions;
+    Rotation* turned = chain.turned;
     positions[0] = {0.0, 0.0, 0.0};
     turned[0] = {{1.0, 0.0, 0.0}, {0.0, 1.0, 0.0}, {0.0, 0.0, 1.0}};
     for (int64_t k = 1; k <= JOINTS; ++k) {
@@ -44,6 +50,11 @@ void place(const Clearance& c, const double* q, Body* placed) {
         copy(body.size, c.size_m + 3 * k, 3);
         body.radius = c.radius_m[k];
     }
+}
+
+void place(const Clearance& c, const double* q, Body* placed) {
+    Chain chain;
+    place(c, q, placed, chain);
 }
 
 // Distance from the arm's base within which all of a geom lies.
@@ -65,6 +76,21 @@ double measured(const Clearance& c, const Body* placed, int64_t pair) {
     return bound >= c.cutoff_m ? bound : distance(a, b);
 }
 
+double spare_of(const Clearance& c, const Body* placed, int64_t pair) {
+    return measured(c, placed, pair) + c.granted_m[pair] - allowed(c, placed, pair);
+}
+
+// Rotate a geom about the axis of a joint, if that moves it.
+void turn(const Clearance& c, const Chain& chain, int64_t joint, double angle, int64_t geom, Body* placed) {
+    int64_t body = c.body[geom];
+    while (body > joint + 1) body = c.parent[body];
+    if (body != joint + 1) return;
+    const Vector at = chain.positions[body];
+    const Rotation by = about(rotate(chain.turned[body], vector(c.axis + 3 * body)), angle);
+    placed[geom].center = at + rotate(by, placed[geom].center - at);
+    placed[geom].axes = by * placed[geom].axes;
+}
+
 }  // namespace
 
 // Distances above the smallest legal ones, (pairs,), at a configuration (12,); beyond the cutoff a lower bound.
@@ -74,7 +100,27 @@ EXPORT void clearance_spare(const void* context, const double* q, double* spare)
     const Placed placed(c.geoms);
     place(c, q, placed);
     for (int64_t pair = 0; pair < c.pairs; ++pair)
-        spare[pair] = measured(c, placed, pair) + c.granted_m[pair] - allowed(c, placed, pair);
+        spare[pair] = spare_of(c, placed, pair);
+}
+
+// Slopes of a pair's spare distance; see `Slopes`. Only the two geoms are moved.
+SIZES(clearance_slopes, "- 12 - 12")
+EXPORT void clearance_slopes(const Distances* d, const double* q, int64_t pair, double* slopes) {
+    const Clearance& c = *static_cast<const Clearance*>(d->context);
+    const Placed memory(c.geoms);
+    Body* placed = memory;
+    Chain chain;
+    place(c, q, placed, chain);
+    const int64_t geoms[2] = {c.first[pair], c.second[pair]};
+    const Body here[2] = {placed[geoms[0]], placed[geoms[1]]};
+    const double spare = spare_of(c, placed, pair);
+    for (int64_t j = 0; j < JOINTS; ++j) {
+        slopes[j] = 0.0;
+        if (d->levers[pair * JOINTS + j] == 0.0) continue;
+        for (const int64_t geom : geoms) turn(c, chain, j, SLOPE_RAD, geom, placed);
+        slopes[j] = (spare_of(c, placed, pair) - spare) / SLOPE_RAD;
+        for (int k = 0; k < 2; ++k) placed[geoms[k]] = here[k];
+    }
 }
 
 // Distances, those beyond the cutoff as the cutoff, and the smallest legal ones, (n, pairs), at (n, 12).

@@ -16,12 +16,21 @@ enum Reason { NONE = 0, LIMIT = 1, CARTESIAN = 2, DISTANCE = 3 };
 #define GATE(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                                   \
     INT(n) INT(pairs) INT(brake_rows) INT(most_checks) LINK(envelope, Envelope) LINK(distances, Distances)             \
     REALS(brake, brake_rows * 3) REALS(past, n * 36) REALS(spare_m, n * pairs) REALS(known_m, n * pairs)               \
-    REALS(away_rad, n * 12) INTS(reason, n) INTS(index, n) REALS(found, n) REALS(q_rad, n * 12) INT(ticks)              \
-    REALS(targets, n * ticks * 12) REAL(sweep_tolerance_m)
+    REALS(away_rad, n * 12) REALS(next_known_m, n * pairs) REALS(next_away_rad, n * 12) INTS(reason, n) INTS(index, n)  \
+    REALS(found, n) REALS(q_rad, n * 12) INT(ticks) REALS(targets, n * ticks * 12) REALS(asked, n * ticks * 12)         \
+    INTS(passed, n) REAL(sweep_tolerance_m)
 
 STRUCTURE(Gate, GATE)
 
 namespace {
+
+// Why a window may not be released: the row and joint, or arm and point, of the worst limit with the value found, or the
+// configuration at which a pair is too close.
+struct Finding {
+    Reason reason = NONE;
+    int64_t index = 0;
+    double found = 0.0, q[JOINTS] = {};
+};
 
 // Distances along the path from the last target along the new ones to the end of the brake, as finely as needed.
 //
@@ -58,7 +67,8 @@ struct Sweep {
     bool is_clear(int64_t row, const double* first_order, const double* rest, const double* spare) const {
         const int64_t pairs = distances.pairs;
         const double *end = window + (envelope.width - 1) * JOINTS;
-        double *known = gate.known_m + row * pairs, *away = gate.away_rad + row * JOINTS;
+        const double *known = gate.known_m + row * pairs, *away = gate.away_rad + row * JOINTS;
+        double *next_known = gate.next_known_m + row * pairs, *next_away = gate.next_away_rad + row * JOINTS;
         double coming[JOINTS] = {}, braking[JOINTS], whole[JOINTS];
         for (int64_t j = 0; j < JOINTS; ++j) {
             for (int64_t k = HISTORY; k < envelope.width; ++k)
@@ -67,15 +77,15 @@ struct Sweep {
             whole[j] = coming[j] + braking[j];
         }
         if (all_beyond(spare, whole)) {
-            copy(known, spare, pairs);
-            copy(away, braking, JOINTS);
+            copy(next_known, spare, pairs);
+            copy(next_away, braking, JOINTS);
             return true;
         }
         const Scratch begin(pairs), there(pairs);
         for (int64_t pair = 0; pair < pairs; ++pair) begin[pair] = larger(known[pair] - travel(pair, away), 0.0);
         measure(end, there);
-        copy(known, there, pairs);
-        memset(away, 0, sizeof(double) * JOINTS);
+        copy(next_known, there, pairs);
+        memset(next_away, 0, sizeof(double) * JOINTS);
         bool proven = true;
         for (int64_t pair = 0; pair < pairs; ++pair) {
             if (!(there[pair] >= 0.0)) {
@@ -137,8 +147,8 @@ struct Sweep {
     }
 };
 
-// Find out whether a window may be released, and keep the reason if not.
-bool check(const Gate& g, int64_t row, const double* window, double* scratch) {
+// Find out whether a window may be released, and the reason if not. Nothing of the gate's own record changes.
+bool check(const Gate& g, int64_t row, const double* window, double* scratch, Finding& finding) {
     const Envelope& e = *g.envelope;
     const Quantities quantities(e, window, scratch);
     double fraction[JOINTS], peak[JOINTS] = {}, worst = TOLERANCE;
@@ -154,13 +164,12 @@ bool check(const Gate& g, int64_t row, const double* window, double* scratch) {
             worst_index = k * JOINTS + j;
         }
     }
-    double* q = g.q_rad + row * JOINTS;
     if (worst_index >= 0) {
         double value[JOINTS];
         quantities.value(worst_index / JOINTS, value);
-        g.reason[row] = LIMIT;
-        g.index[row] = worst_index;
-        g.found[row] = value[worst_index % JOINTS];
+        finding.reason = LIMIT;
+        finding.index = worst_index;
+        finding.found = value[worst_index % JOINTS];
         return false;
     }
     if (!(cartesian_bound(e, peak) <= 1.0)) {
@@ -169,24 +178,34 @@ bool check(const Gate& g, int64_t row, const double* window, double* scratch) {
         const double second = best[1].fraction;
         const Fastest& fastest = best[best[0].fraction <= second || second != second];
         if (!(fastest.fraction <= TOLERANCE)) {
-            g.reason[row] = CARTESIAN;
-            g.index[row] = 3 * fastest.arm + fastest.point;
-            g.found[row] = fastest.fraction;
+            finding.reason = CARTESIAN;
+            finding.index = 3 * fastest.arm + fastest.point;
+            finding.found = fastest.fraction;
             return false;
         }
     }
     double first_order[JOINTS], rest[JOINTS];
     quantities.value(e.m - 2, first_order);
     quantities.value(e.m - 1, rest);
-    const Sweep sweep = {g, e, *g.distances, window, q};
+    const Sweep sweep = {g, e, *g.distances, window, finding.q};
     double* spare = g.spare_m + row * g.pairs;
     sweep.measure(rest, spare);
     bool clear = true;
     for (int64_t pair = 0; pair < g.pairs; ++pair) clear &= spare[pair] >= 0.0;
-    if (!clear) copy(q, rest, JOINTS);
+    if (!clear) copy(finding.q, rest, JOINTS);
     if (clear && sweep.is_clear(row, first_order, rest, spare)) return true;
-    g.reason[row] = DISTANCE;
+    finding.reason = DISTANCE;
     return false;
+}
+
+// The same for who plans targets, before they are given to the gate. It remembers what passed, to the bit, and need not
+// check that again.
+bool ask(const Gate& g, int64_t row, const double* window, double* scratch, Finding& finding) {
+    const int64_t count = g.ticks * JOINTS;
+    finding.reason = NONE;
+    g.passed[row] = check(g, row, window, scratch, finding);
+    copy(g.asked + row * count, window + HISTORY * JOINTS, count);
+    return g.passed[row];
 }
 
 // Continue with the brake, or stay where the arms are at rest.
@@ -218,7 +237,21 @@ EXPORT void gate_step(const Gate* g, int64_t first, int64_t last) {
         double *past = g->past + row * HISTORY * JOINTS, *wanted = g->targets + row * count;
         copy(window, past, HISTORY * JOINTS);
         copy(window + HISTORY * JOINTS, wanted, count);
-        if (g->reason[row] != NONE || !check(*g, row, window, scratch)) brake(*g, window);
+        if (g->reason[row] == NONE) {
+            const bool passed = g->passed[row] && !memcmp(g->asked + row * count, wanted, sizeof(double) * count);
+            Finding finding;
+            if (passed || check(*g, row, window, scratch, finding)) {
+                copy(g->known_m + row * g->pairs, g->next_known_m + row * g->pairs, g->pairs);
+                copy(g->away_rad + row * JOINTS, g->next_away_rad + row * JOINTS, JOINTS);
+            } else {
+                g->reason[row] = finding.reason;
+                g->index[row] = finding.index;
+                g->found[row] = finding.found;
+                copy(g->q_rad + row * JOINTS, finding.q, JOINTS);
+            }
+        }
+        g->passed[row] = 0;
+        if (g->reason[row] != NONE) brake(*g, window);
         copy(past, window + e.ticks * JOINTS, HISTORY * JOINTS);
         copy(wanted, window + HISTORY * JOINTS, count);
     }

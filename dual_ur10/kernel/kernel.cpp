@@ -7,6 +7,7 @@
 #include "geometry.hpp"
 #include "grippers.hpp"
 #include "inverse.hpp"
+#include "lead.hpp"
 #include "motion.hpp"
 #include "threads.hpp"
 #include "wrench.hpp"

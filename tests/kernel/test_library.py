@@ -32,7 +32,13 @@ ROOT = Path(__file__).parents[2]
 
 
 def fitting() -> dict[str, object]:
-    return {"pairs": 2, "levers": np.zeros((2, 12)), "measure": "clearance_spare", "context": None}
+    return {
+        "pairs": 2,
+        "levers": np.zeros((2, 12)),
+        "measure": "clearance_spare",
+        "slopes": "measured_slopes",
+        "context": None,
+    }
 
 
 def test_a_structure_takes_what_fits() -> None:

@@ -25,12 +25,12 @@ UNCERTAIN = ((0.004, 0.01), (0.002, 0.02))
 RESETS = {11: np.array([3, 17, 40, 63]), 30: np.array([0, 3, 41])}
 
 
-def make(n: int, threads: int = 1, mode: str = "joint_delta", ticks: int = 5, limits=HARD) -> ServojPipeline:
+def make(n: int, threads: int = 1, mode: str = "joint_delta", ticks: int = 5, limits=HARD, leads=False):
     profile = ServojProfile()
     adapter = ServojAdapter(profile, limits, ticks, n=n, mode=mode, dh=[NOMINAL_DH] * 2, threads=threads)
     clearance = Clearance(SCENE, uncertainty=UNCERTAIN)
     gate = SafetyGate(limits, profile.tick_s, ticks, clearance, n=n, threads=threads)
-    return ServojPipeline(adapter, gate)
+    return ServojPipeline(adapter, gate, leads=leads)
 
 
 def starts() -> np.ndarray:
@@ -49,11 +49,11 @@ def actions(seed: int = 0) -> np.ndarray:
 
 
 def played(pipeline: ServojPipeline, rows: np.ndarray, given: np.ndarray):
-    """Return the targets, (periods, rows, ticks, 2, 6), of some rows of a run, and the verdicts by row of the run."""
+    """Return the targets, (periods, rows, ticks, 2, 6), of some rows, and verdicts and led motion by row of the run."""
     where = {row: index for index, row in enumerate(rows.tolist())}
     begin = starts()
     pipeline.reset(begin[rows])
-    sent, verdicts = [], {}
+    sent, verdicts, led = [], {}, set()
     for period, action in enumerate(given):
         again = np.array([row for row in RESETS.get(period, ()) if row in where], dtype=int)
         if again.size:
@@ -61,26 +61,35 @@ def played(pipeline: ServojPipeline, rows: np.ndarray, given: np.ndarray):
         command, found = pipeline(action[rows])
         sent.append(command.targets_rad)
         verdicts[period] = {int(rows[index]): str(verdict) for index, verdict in found.items()}
-    return np.array(sent), verdicts
+        led |= {(period, row) for row in rows[pipeline.led].tolist()}
+    return np.array(sent), verdicts, led
 
 
-@pytest.mark.parametrize(("mode", "ticks", "limits"), [("joint_delta", 5, HARD), ("joint_position", 25, TIGHT)])
-def test_a_row_is_the_same_in_any_batch(mode, ticks, limits) -> None:
+@pytest.mark.parametrize(
+    ("mode", "ticks", "limits", "leads"),
+    [
+        ("joint_delta", 5, HARD, False),
+        ("joint_position", 25, TIGHT, False),
+        ("joint_delta", 5, HARD, True),
+        ("tcp_delta", 25, TIGHT, True),
+    ],
+)
+def test_a_row_is_the_same_in_any_batch(mode, ticks, limits, leads) -> None:
     given, every = actions(), np.arange(N)
-    kind = {"mode": mode, "ticks": ticks, "limits": limits}
-    together, verdicts = played(make(N, 2, **kind), every, given)
-    assert {text.split(": ")[1].split()[0] for found in verdicts.values() for text in found.values()} == {"distance"}
-    refused = {row for found in verdicts.values() for row in found}
-    assert 5 < len(refused) < N
+    kind = {"mode": mode, "ticks": ticks, "limits": limits, "leads": leads}
+    together, verdicts, led = played(make(N, 2, **kind), every, given)
+    assert {text.split(": ")[1].split()[0] for found in verdicts.values() for text in found.values()} <= {"distance"}
+    assert 5 < len({row for _, row in led} if leads else {row for found in verdicts.values() for row in found}) < N
     for batch in ([row] for row in range(N)):
-        alone, its_own = played(make(1, **kind), np.array(batch), given)
+        alone, its_own, its_leads = played(make(1, **kind), np.array(batch), given)
         np.testing.assert_array_equal(alone[:, 0], together[:, batch[0]])
         assert its_own == {k: {row: v[row] for row in batch if row in v} for k, v in verdicts.items()}
+        assert its_leads == {each for each in led if each[1] in batch}
     order = np.random.default_rng(1).permutation(N)
     for threads in (1, 3):
-        shuffled, found = played(make(N, threads, **kind), order, given)
+        shuffled, *found = played(make(N, threads, **kind), order, given)
         np.testing.assert_array_equal(shuffled, together[:, order])
-        assert found == verdicts
+        assert found == [verdicts, led]
 
 
 def test_distances_do_not_depend_on_the_batch() -> None:
@@ -93,8 +102,9 @@ def test_distances_do_not_depend_on_the_batch() -> None:
 
 
 @pytest.mark.parametrize("through", [copy.deepcopy, lambda each: pickle.loads(pickle.dumps(each))])
-def test_a_copied_pipeline_continues_and_is_independent(through) -> None:
-    given, pipeline, other = actions(5), make(N, 2), make(N, 2)
+@pytest.mark.parametrize("leads", [False, True])
+def test_a_copied_pipeline_continues_and_is_independent(through, leads) -> None:
+    given, pipeline, other = actions(5), make(N, 2, leads=leads), make(N, 2, leads=leads)
     begin = starts()
     for each in (pipeline, other):
         each.reset(begin)
@@ -107,7 +117,8 @@ def test_a_copied_pipeline_continues_and_is_independent(through) -> None:
         (command, verdicts), (expected, reasons) = copied(action), pipeline(action)
         np.testing.assert_array_equal(command.targets_rad, expected.targets_rad)
         assert verdicts == reasons
-    assert reasons
+    assert reasons or leads
+    assert (copied.led == pipeline.led).all()
     copied.reset(begin[:1], np.array([0]))
     np.testing.assert_array_equal(copied(given[0])[0].targets_rad[0], played_once(begin, given[0])[0])
 

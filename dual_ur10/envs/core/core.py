@@ -159,7 +159,7 @@ class Core:
         )
         gate = SafetyGate(setup.limits, config.servoj.tick_s, setup.ticks, clearance, n=n, threads=threads)
         proximity = ProximityScaling(clearance, adapter.period_s) if config.controllers else None
-        self.pipeline = ServojPipeline(adapter, gate, held=setup.options.held_arm, proximity=proximity)
+        self.pipeline = ServojPipeline(adapter, gate, leads=setup.options.at_limits == "lead", proximity=proximity)
         self.task = setup.make_task(n)
         self._clearance = clearance
         self.weights = setup.weights
@@ -288,7 +288,7 @@ class Core:
         # If anything fails from here on, pipeline and cell disagree, and a reset is needed.
         before, self._state = self._state, None
         try:
-            command, verdicts = self.pipeline(action)
+            command, verdicts = self.pipeline(action, self.task.coupled() if self.task.couples else None)
         except ActionError as error:
             self._state = before  # nothing has moved
             cell.stop(f"the policy's action was refused: {error}")
@@ -324,6 +324,7 @@ class Core:
         info = self._measurements(state)
         info.update(outcome.info)
         info["is_success"] = success
+        info["led"] = self.pipeline.led
         info.update(zip(self._terms, terms.T, strict=True))
         if not self._sensing.is_exact:
             state = self._sensing(state)
@@ -407,7 +408,7 @@ class Core:
         task = copy.deepcopy(self.task)  # because an evaluation counts as a step
         info = task.evaluate(self._state, task.measure(self._state)).info
         nothing = {name: np.zeros(self.n) for name in self._terms}
-        return {**info, "is_success": np.zeros(self.n, dtype=bool), **nothing}
+        return {**info, "is_success": np.zeros(self.n, dtype=bool), "led": np.zeros(self.n, dtype=bool), **nothing}
 
     def cell_data(self, row: int) -> tuple[Any, Any]:
         """Return MuJoCo's model and data of one cell, for a viewer: the same objects at every call, updated."""

@@ -29,6 +29,7 @@ MOVE_TO_START: Final = "move_to_start"
 ObservationKind = Literal["state", "goals", "pixels", "both", "flat"]
 ObservationDtype = Literal["float64", "float32"]
 OnRefusal = Literal["brake", "terminate"]
+AtLimits = Literal["lead", "refuse"]
 RewardForm = Literal["dense", "sparse"]
 
 
@@ -58,6 +59,10 @@ class EnvOptions:
             Develop a policy for real arms with the latency that it will have. None: 0 in simulation, and the ticks of
             40 ms on two controllers.
         compensate_lag: Compensate the lag of `servoj` in the adapter.
+        at_limits: Reaction to motion that the safety gate would refuse. "lead": the adapter leads it along what is in
+            its way, in simulation and on two controllers alike, and `info["led"]` is True; see
+            `dual_ur10.sim2real.control.leading`. Only what cannot be led is refused. "refuse": it reaches the gate as
+            it was planned.
         on_refusal: Reaction to a motion that the safety gate refuses. "terminate": the episode ends. "brake": both arms
             of the cell brake, and the episode continues from rest. A refusal costs a reward of 1, once until a motion
             is released again, and the episode cannot succeed, because on two controllers it would have ended. None:
@@ -102,6 +107,7 @@ class EnvOptions:
     action_scale: ActionScale = 1.0
     action_latency_ticks: int | None = None
     compensate_lag: bool = True
+    at_limits: AtLimits = "lead"
     on_refusal: OnRefusal | None = None
     reward: RewardForm = "dense"
     reward_weights: Mapping[str, float] | None = None
@@ -154,6 +160,8 @@ class EnvOptions:
             raise SettingsError(
                 "observation is 'goals', which is float32, and observation_dtype 'float64': leave observation_dtype out"
             )
+        if self.at_limits not in get_args(AtLimits):
+            raise UnknownNameError("at_limits", str(self.at_limits), get_args(AtLimits))
         if self.on_refusal is not None and self.on_refusal not in get_args(OnRefusal):
             raise UnknownNameError("on_refusal", str(self.on_refusal), [*get_args(OnRefusal), "None"])
         if self.reward not in get_args(RewardForm):

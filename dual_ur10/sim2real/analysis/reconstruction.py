@@ -193,7 +193,7 @@ def check_replayable(header: Header, config: CellConfig) -> None:
             )
 
 
-_KEPT: Final = ("action_scale",)
+_KEPT: Final = ("action_scale", "at_limits")
 """Keywords on which the targets of an action depend."""
 
 

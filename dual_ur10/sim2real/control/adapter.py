@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from dual_ur10.assets.settings import DEFAULT_TOOLS
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.kernel import RowLoop, Struct
+from dual_ur10.kinematics.forward import links
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply, quat_to_matrix
 from dual_ur10.kinematics.ur10 import DHParameters
 from dual_ur10.sim2real.control import path
@@ -195,6 +196,7 @@ class ServojAdapter:
         upright = quat_from_rotvec(np.array([[-x, -y, 0.0] for x, y in tilt_rad]))
         self._to_base = quat_to_matrix(quat_multiply(quat_from_rotvec(rotations), upright))
         self._state: Array = np.zeros((n, _STATE, 12))
+        self._before: Array = np.zeros((n, _STATE, 12))  # the last plan
         self._rest = np.zeros(n, dtype=np.int64)  # of the last path: twice the periods left, plus 1 if curved
         self._commanded: Array = np.zeros((n, 2, 6))
         self._action: Array = np.zeros((n, 2, self.action_size))
@@ -202,7 +204,8 @@ class ServojAdapter:
         self._clipped = np.zeros(n, dtype=np.int64)
         self._targets: Array = np.zeros((n, ticks, 2, 6))
         self._widths: Array = np.zeros((n, ticks, 2))
-        self._step = RowLoop("adapter_step", self._struct(), n, threads)
+        self.kernel, self.threads = self._struct(), threads
+        self._step = RowLoop("adapter_step", self.kernel, n, threads)
 
     def _struct(self) -> Struct:
         """Return the coefficients and the state as the kernel's structure."""
@@ -247,6 +250,7 @@ class ServojAdapter:
             upper=self._approach * (np.tile(self.limits.upper_rad, 2) - _GOAL_MARGIN_RAD),
             leash=self._leash,
             state=self._state,
+            before=self._before,
             rest=self._rest,
             commanded=self._commanded,
             action=self._action,
@@ -257,6 +261,9 @@ class ServojAdapter:
             lowest=low - _ROUNDING,
             highest=high + _ROUNDING,
             clipped=self._clipped,
+            links=np.stack([links(dh) for dh in self.dh]),
+            tool_m=np.array(self._tcp_m, dtype=np.float64),
+            turn_m=TCP_STEP_M_S / TCP_ROTATION_RAD_S,
         )
 
     def _plan(self, periods: int) -> tuple[Array, Array]:
@@ -400,6 +407,11 @@ class ServojAdapter:
         """
         return self._commanded.copy()
 
+    @property
+    def targets_rad(self) -> Array:
+        """Targets of the last period, (n, ticks, 2, 6)."""
+        return self._targets.copy()
+
     def reset(self, q_rad: Array, rows: Rows | None = None) -> None:
         """Start from rest at `q_rad`, (n, 2, 6), in all cells or in `rows` of them (then (len(rows), 2, 6))."""
         index = slice(None) if rows is None else rows
@@ -418,7 +430,7 @@ class ServojAdapter:
         if self.mode == "tcp_delta":
             self._cartesian_goal[:] = self._tcp_goal(action[..., :6]).reshape(self.n, 12)
         self._step()
-        return Command(self._targets.copy(), self._widths.copy() if self.gripper else None)
+        return Command(self.targets_rad, self._widths.copy() if self.gripper else None)
 
     def _tcp_goal(self, action: Array) -> Array:
         """Return joint goals, (n, 2, 6), of Cartesian steps."""

@@ -183,7 +183,12 @@ class Clearance:
         )
         levers = _levers_m(self._settings) * (1.0 + uncertainty.per_m[:, None])
         self.kernel = Struct(
-            "Distances", pairs=len(self.pairs), levers=levers, measure="clearance_spare", context=self._struct
+            "Distances",
+            pairs=len(self.pairs),
+            levers=levers,
+            measure="clearance_spare",
+            slopes="clearance_slopes",
+            context=self._struct,
         )
         """Measures for the gate, beyond the cutoff a lower bound."""
 

@@ -125,10 +125,13 @@ class SafetyGate:
         self._spare: Array = np.zeros((n, pairs))
         # Known of the last target: the spare distance at a configuration, and the travel from there.
         self._known, self._away = np.zeros((n, pairs)), np.zeros((n, 12))
+        # Targets that passed when somebody asked before, and what will be known of them.
+        self._asked: Array = np.zeros((n, ticks, 2, 6))
+        self._passed = np.zeros(n, dtype=np.int64)
         self._reason, self._index = np.zeros((2, n), dtype=np.int64)
         self._found, self._q = np.zeros(n), np.zeros((n, 12))
         brake = self.envelope.whole_brake()
-        struct = Struct(
+        self.kernel = Struct(
             "Gate",
             n=n,
             ticks=ticks,
@@ -143,13 +146,17 @@ class SafetyGate:
             spare_m=self._spare,
             known_m=self._known,
             away_rad=self._away,
+            next_known_m=np.zeros((n, pairs)),
+            next_away_rad=np.zeros((n, 12)),
+            asked=self._asked,
+            passed=self._passed,
             reason=self._reason,
             index=self._index,
             found=self._found,
             q_rad=self._q,
             targets=self._targets,
         )
-        self._step = RowLoop("gate_step", struct, n, threads)
+        self._step = RowLoop("gate_step", self.kernel, n, threads)
 
     @property
     def distances(self) -> Distances:
@@ -185,7 +192,7 @@ class SafetyGate:
             )
         index = np.arange(self.n) if rows is None else rows
         self._past[index] = start
-        self._sent[index] = self._reason[index] = 0
+        self._sent[index] = self._reason[index] = self._passed[index] = 0
         self._known[index] = self._away[index] = 0.0  # the caller has checked the start
         for row in index.tolist():
             self._verdicts.pop(row, None)

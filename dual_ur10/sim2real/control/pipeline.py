@@ -1,4 +1,4 @@
-"""Action pipeline: adapter, then safety gate. The same object in front of every kind of cell."""
+"""Action pipeline: adapter, what leads its motion, then safety gate. The same object in front of every kind of cell."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from dual_ur10.errors import ActionError
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.control.adapter import Command, ServojAdapter
 from dual_ur10.sim2real.control.gate import SafetyGate, Verdict
+from dual_ur10.sim2real.control.leading import Leading
 from dual_ur10.sim2real.control.proximity import ProximityScaling
-from dual_ur10.types import Array, Rows
+from dual_ur10.types import Array, Mask, Rows
 
 
 class ServojPipeline:
@@ -23,7 +24,12 @@ class ServojPipeline:
         adapter: Converts actions into targets.
         gate: Releases or replaces targets.
         held: Index of an arm that stays where it is, whatever the actions are; None: neither.
+        leads: Motion that the gate would refuse is led along what is in its way; see
+            `dual_ur10.sim2real.control.leading`.
         proximity: Slows one cell down near things; None: nothing does.
+
+    Attributes:
+        led: (n,) True where the last action's motion was led.
     """
 
     def __init__(
@@ -32,9 +38,12 @@ class ServojPipeline:
         gate: SafetyGate,
         *,
         held: int | None = None,
+        leads: bool = True,
         proximity: ProximityScaling | None = None,
     ) -> None:
         self.adapter, self.gate, self._held, self._proximity = adapter, gate, held, proximity
+        self._leading = Leading(adapter, gate, held) if leads else None
+        self.led: Mask = np.zeros(adapter.n, dtype=bool)
         self._scaling = 1.0
         self._shape = (adapter.n, 2, adapter.action_size)
         self._shapes = _shapes(self._shape)
@@ -55,11 +64,12 @@ class ServojPipeline:
         index = slice(None) if rows is None else rows
         self._widths[index] = self.adapter.stroke_m if gripper_m is None else gripper_m
 
-    def __call__(self, action: object) -> tuple[Command, dict[int, Verdict]]:
+    def __call__(self, action: object, coupled: Mask | None = None) -> tuple[Command, dict[int, Verdict]]:
         """Return the command of an action as far as the gate releases it.
 
         Args:
             action: Numbers that fit (n, 2, action_size); copied.
+            coupled: (n,) rows whose arms hold one object between them; None: none does.
 
         Returns:
             The command, and the verdict of each row that the gate refused.
@@ -70,6 +80,10 @@ class ServojPipeline:
         checked = self.check(action)
         command = self.adapter(checked)
         targets, gripper = command.targets_rad, command.gripper_m
+        if self._leading is not None:
+            self.led = self._leading(coupled)
+            if np.count_nonzero(self.led):
+                targets = self.adapter.targets_rad
         if self._held is not None:
             targets[:, :, self._held] = self.gate.last_targets_rad[:, None, self._held]
         result = self.gate(targets)

@@ -355,7 +355,7 @@ def test_latency_holds_the_motion_back_by_whole_ticks():
 
 
 def test_a_refused_motion_ends_the_episode_with_its_reason():
-    env = gym.make(SINE, action_mode="joint_position", randomize=False, on_refusal="terminate")
+    env = gym.make(SINE, action_mode="joint_position", randomize=False, on_refusal="terminate", at_limits="refuse")
     _, info = env.reset(seed=0)
     down = info["q_rad"].copy()
     down[:, 1] += 1.2  # both arms into the table

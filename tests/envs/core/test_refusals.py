@@ -14,7 +14,7 @@ TOWARDS_EACH_OTHER = np.tile([1.0, 0, 0, 0, 0, 0], 2).astype(np.float32) * np.re
 
 
 def begun(**keywords):
-    core = Core("SineTracking", keywords)
+    core = Core("SineTracking", {"at_limits": "refuse", **keywords})
     core.reset([np.random.default_rng(0)])
     return core
 
@@ -87,7 +87,7 @@ def test_an_episode_with_a_refusal_is_no_success():
 
 @pytest.mark.parametrize("task", ["SineTracking", "Handover"])
 def test_targets_keep_all_limits_across_brakes(task):
-    core = Core(task, {})
+    core = Core(task, {"at_limits": "refuse"})
     core.reset([np.random.default_rng(0)])
     envelope, rng = core.pipeline.gate.envelope, np.random.default_rng(1)
     targets = [np.repeat(core.pipeline.gate.last_targets_rad[0][None], HISTORY, axis=0)]
@@ -110,8 +110,8 @@ def test_targets_keep_all_limits_across_brakes(task):
 
 def test_a_row_equals_a_single_environment_across_brakes():
     rng = np.random.default_rng(2)
-    vector = DualArmVectorEnv(3, "SineTracking", autoreset_mode="Disabled")
-    single = gym.make("DualUR10/SineTracking-v0")
+    vector = DualArmVectorEnv(3, "SineTracking", autoreset_mode="Disabled", at_limits="refuse")
+    single = gym.make("DualUR10/SineTracking-v0", at_limits="refuse")
     vector.reset(seed=5)
     single.reset(seed=6)
     refused = 0

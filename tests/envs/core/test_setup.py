@@ -81,9 +81,10 @@ def test_widths_of_grippers_are_not_scaled():
         ({"action_scale": {"rotation": 0.5}}, UnknownNameError, "'joints'"),
         ({"action_scale": {"gripper": 0.5}, "action_mode": "tcp_delta"}, UnknownNameError, "'translation', 'rotation'"),
         ({"action_scale": 0.5, "action_mode": "joint_position"}, SettingsError, "positions, not steps"),
+        ({"at_limits": "stop"}, UnknownNameError, "'lead', 'refuse'"),
     ],
 )
-def test_an_illegal_scale_is_refused(keywords, error, message):
+def test_an_illegal_scale_or_reaction_is_refused(keywords, error, message):
     with pytest.raises(error, match=message):
         EnvSetup.resolve("SineTracking", keywords)
 
@@ -138,7 +139,8 @@ def test_nominal_arms_move_alike_without_contacts(monkeypatch, together):
     """Random actions, also the same for ten steps, which drive many episodes into the gate's smallest distance."""
 
     def trace():
-        envs = gym.make_vec("DualUR10/SineTracking-v0", num_envs=16, autoreset_mode="SameStep", on_refusal="terminate")
+        keywords = {"at_limits": "refuse", "on_refusal": "terminate"}
+        envs = gym.make_vec("DualUR10/SineTracking-v0", num_envs=16, autoreset_mode="SameStep", **keywords)
         envs.reset(seed=5)
         rng, ended, found = np.random.default_rng(1), 0, []
         for step in range(150):

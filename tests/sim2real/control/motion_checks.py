@@ -35,7 +35,14 @@ class Measured:
     def __init__(self, levers_m: np.ndarray) -> None:
         levers_m = np.array(levers_m, dtype=np.float64)
         self.checks = 0
-        self.kernel = Struct("Distances", pairs=len(levers_m), levers=levers_m, measure=self._measure, context=None)
+        self.kernel = Struct(
+            "Distances",
+            pairs=len(levers_m),
+            levers=levers_m,
+            measure=self._measure,
+            slopes="measured_slopes",
+            context=None,
+        )
 
     def _measure(self, q_rad: np.ndarray, spare_m: np.ndarray) -> None:
         self.checks += 1

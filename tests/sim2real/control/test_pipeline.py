@@ -42,12 +42,13 @@ def pipeline_at_home(
     profile: ServojProfile | None = None,
     clearance=None,
     held: int | None = None,
+    leads: bool = True,
     **more,
 ) -> ServojPipeline:
     profile = profile or ServojProfile()
     adapter = ServojAdapter(profile, limits, ticks, n=n, **{"dh": [NOMINAL_DH] * 2, **more})
     gate = SafetyGate(limits, profile.tick_s, ticks, clearance or AlwaysClear(), n=n)
-    pipeline = ServojPipeline(adapter, gate, held=held)
+    pipeline = ServojPipeline(adapter, gate, held=held, leads=leads)
     pipeline.reset(np.tile(HOME_Q_RAD, (n, 1, 1)))
     return pipeline
 
@@ -267,7 +268,7 @@ def test_soak_of_adversarial_actions() -> None:
 @pytest.mark.parametrize("mode", ["joint_delta", "tcp_delta"])
 def test_random_actions_meet_the_gate_only_for_distances(mode: str) -> None:
     n, limits = 40, MotionLimits(speed_rad_s=1.0)
-    pipeline = pipeline_at_home(n, limits=limits, clearance=Clearance(SceneSettings()), mode=mode)
+    pipeline = pipeline_at_home(n, limits=limits, clearance=Clearance(SceneSettings()), mode=mode, leads=False)
     rng, found = np.random.default_rng(0), Counter()
     drift = rng.uniform(-0.6, 0.6, (n, 2, 6))
     sent = [np.tile(HOME_Q_RAD, (n, 4, 1, 1))]
@@ -352,7 +353,7 @@ def test_a_refused_row_keeps_its_gripper_widths() -> None:
         def worst(self, q_rad):
             return "left/palm and table", 0.0, 0.02
 
-    pipeline = pipeline_at_home(2, gripper=True, clearance=Closed())
+    pipeline = pipeline_at_home(2, gripper=True, clearance=Closed(), leads=False)
     both = [pipeline(with_grippers(np.full((2, 2), value))) for value in (0.5, -0.2, 0.9, -1.0, 1.0, 1.0)]
     widths = np.concatenate([command.gripper_m for command, _ in both], axis=1)
     assert 1 in both[2][1]

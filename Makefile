@@ -157,6 +157,7 @@ bench: $(VENV)/.dev $(KERNEL)  ## all benchmarks, figures to out/*.json
 	@$(VENV)/bin/python benchmarks/kinematics.py --json out/kinematics.json
 	@$(VENV)/bin/python benchmarks/planning.py --json out/planning.json
 	@$(VENV)/bin/python benchmarks/adapter.py --json out/adapter.json
+	@$(VENV)/bin/python benchmarks/exploration.py --json out/exploration.json
 	@$(VENV)/bin/python benchmarks/accuracy.py --json out/accuracy.json
 	@$(VENV)/bin/python benchmarks/throughput.py --json out/throughput.json
 	@$(VENV)/bin/python benchmarks/emulator.py --seconds 60 --json out/emulator.json

@@ -33,6 +33,16 @@ def test_a_worker_runs_blocks_of_the_checkout_that_was_named(monkeypatch, tmp_pa
         interleaved.Worker(python, "dual_ur10_worker.py", case, tmp_path)
 
 
+def test_exploration_and_tools_that_are_too_low_are_led(monkeypatch):
+    monkeypatch.syspath_prepend(FOLDER)
+    exploration = importlib.import_module("exploration")
+    found = exploration.explore("SineTracking", "joint_delta", exploration.towards, 4, 2, 25)
+    assert found["refusals_per_1000_refuse"] > 10 * found["refusals_per_1000_lead"]
+    assert found["led_share"] > 0.1
+    assert exploration.too_low(20.0, "refuse", 2) == {"refused": 2, "led": 0, "episodes": 2}
+    assert exploration.too_low(20.0, "lead", 2) == {"refused": 0, "led": 2, "episodes": 2}
+
+
 def test_demonstrations_are_imitated_and_evaluated(monkeypatch):
     pytest.importorskip("torch")
     monkeypatch.syspath_prepend(FOLDER)

@@ -31,7 +31,7 @@ WAYS = [
 
 @pytest.mark.parametrize(("moves", "words"), WAYS)
 def test_48_49_50_the_gate_brakes_before_anything_meets(lab, moves, words):
-    lab.begin(steps=0)
+    lab.begin(steps=0, at_limits="refuse")
     info = drive(lab, *moves)
     first, _, second = info["safety"].subject.partition(" and ")
     assert info["safety"].kind == "distance"
@@ -46,9 +46,35 @@ def test_48_49_50_the_gate_brakes_before_anything_meets(lab, moves, words):
     assert lab.latch.read() is None  # it is no fault
 
 
+@pytest.mark.parametrize(
+    ("mode", "action", "along"),
+    [
+        pytest.param("joint_delta", [-0.7, 0, 0, 0, 0, 0, 0.7, 0, 0, 0, 0, 0], 0, id="49-arms"),
+        pytest.param("tcp_delta", [0, 0.2, -1.0, 0, 0, 0, 0, 0, 0, 0, 0, 0], 0, id="50-table"),
+        pytest.param("tcp_delta", [1.0, 0, 0.5, 0, 0, 0, 0, 0, 0, 0, 0, 0], None, id="51-reach"),
+    ],
+)
+def test_49_50_51_arms_are_led_along_what_is_in_their_way(lab, mode, action, along):
+    lab.begin(steps=0, action_mode=mode)
+    pipeline, led, moved = lab.env.unwrapped.core.pipeline, 0, []
+    for _ in range(100):
+        before = pipeline.gate.last_targets_rad
+        _, _, over, _, info = lab.env.step(np.array(action, dtype=np.float32))
+        assert not over
+        led += bool(info["led"])
+        if info["led"]:
+            moved.append(np.abs(pipeline.gate.last_targets_rad - before)[0, along or 0].max())
+    assert lab.latch.read() is None
+    if along is not None:
+        assert led > 10
+        assert np.median(moved) > 1e-3  # rad per period: it goes on, along it
+    lab.assert_within_limits()
+    assert lab.nearest_m() >= 0.0199
+
+
 def test_50_an_obstacle_of_the_cell_file_is_one(lab):
     lab.configure(obstacle=[WALL])
-    lab.begin(steps=0)
+    lab.begin(steps=0, at_limits="refuse")
     info = drive(lab, (0, 1, 0.5), (0, 2, -1.0), (0, 3, 0.5))
     assert "wall" in info["safety"].subject, info["safety"]
     lab.clock.sleep(0.5)

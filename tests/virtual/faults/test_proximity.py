@@ -16,7 +16,7 @@ WAYS = [
 
 @pytest.mark.parametrize(("moves", "other"), WAYS)
 def test_48_49_50_both_arms_slow_down_together_and_are_fast_again_on_the_way_back(lab, moves, other):
-    lab.begin(steps=0)
+    lab.begin(steps=0, at_limits="refuse")
     cell = lab.runner.cell
     action = np.zeros((2, 6), dtype=np.float32)
     for arm, joint, share in moves:

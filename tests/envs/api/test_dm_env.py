@@ -24,7 +24,7 @@ def test_dm_envs_own_tests_pass(env_id, caplog):
     class Checks(test_utils.EnvironmentTestMixin, unittest.TestCase):
         def make_object_under_test(self):
             # Full speed at the same time in all joints: an end of the episode is reached, and checked.
-            return dm_env(env_id, seed=0, action_mode="joint_position", on_refusal="terminate")
+            return dm_env(env_id, seed=0, action_mode="joint_position", on_refusal="terminate", at_limits="refuse")
 
         def make_action_sequence(self):
             spec = self.environment.action_spec()
@@ -87,7 +87,8 @@ def test_truncation_keeps_the_discount_and_the_next_step_resets():
 
 
 def test_the_gate_ends_without_discount():
-    env = dm_env(SINE, seed=0, action_mode="joint_position", randomize=False, on_refusal="terminate")
+    keywords = {"action_mode": "joint_position", "on_refusal": "terminate", "at_limits": "refuse"}
+    env = dm_env(SINE, seed=0, randomize=False, **keywords)
     env.reset()
     down = env.info["q_rad"].copy()
     down[:, 1] += 1.2

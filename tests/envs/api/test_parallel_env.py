@@ -217,7 +217,8 @@ def test_max_cycles_truncates_each_episode(env_id):
 
 
 def test_a_refused_motion_ends_both_agents_with_its_reason():
-    env = parallel_env(SINE, action_mode="joint_position", randomize=False, on_refusal="terminate")
+    keywords = {"action_mode": "joint_position", "on_refusal": "terminate", "at_limits": "refuse"}
+    env = parallel_env(SINE, randomize=False, **keywords)
     _, infos = env.reset(seed=0)
     down = {arm: infos[arm]["q_rad"].astype(np.float32) for arm in ARMS}
     down["right"][1] += 1.2  # into the table

@@ -143,7 +143,7 @@ def test_a_reset_row_does_not_touch_the_others():
 
 
 def test_a_refused_row_has_its_reason_and_restarts():
-    env = vector(2, action_mode="joint_position", randomize=False, on_refusal="terminate")
+    env = vector(2, action_mode="joint_position", randomize=False, on_refusal="terminate", at_limits="refuse")
     _, info = env.reset(seed=0)
     goal = info["q_rad"].copy()
     goal[1, :, 1] += 1.2  # row 1 drives into the table

@@ -38,7 +38,8 @@ def test_it_is_where_an_ideal_arm_is_and_says_so():
 
 
 def test_the_safety_gate_is_in_force():
-    env = gym.make(ID, cell="echo", disable_env_checker=True, on_refusal="terminate", action_mode="joint_position")
+    keywords = {"action_mode": "joint_position", "on_refusal": "terminate", "at_limits": "refuse"}
+    env = gym.make(ID, cell="echo", disable_env_checker=True, **keywords)
     env.reset(seed=0)
     action = np.zeros(env.action_space.shape, dtype=np.float32)
     for _ in range(200):

@@ -95,7 +95,7 @@ class Push:
         ("scripted", {"duration_s": 1.2, "cell": WILD}),
         ("scripted", {"duration_s": 0.4, "policy_rate_hz": 125, "action_latency_ticks": 3}),
         ("random", {"duration_s": 1.2}),
-        (Push(), {"duration_s": 4.0}),
+        (Push(), {"duration_s": 4.0, "at_limits": "refuse"}),
     ],
     ids=["scripted", "fast", "random", "push"],
 )
@@ -134,7 +134,7 @@ class Mixed(Push):
 
 
 def test_an_adaptive_policy_begins_single_rows() -> None:
-    keywords = {"duration_s": 3.0, "cell": WILD}
+    keywords = {"duration_s": 3.0, "cell": WILD, "at_limits": "refuse"}
     alone, three, eight = (
         evaluate(SINE, Mixed(keywords), episodes=9, num_envs=num_envs, env_kwargs=keywords).episodes
         for num_envs in (1, 3, 8)
@@ -155,7 +155,7 @@ class Winding:
 
 
 def test_a_stateful_policy_is_reset_for_every_episode() -> None:
-    keywords = {"duration_s": 4.0}
+    keywords = {"duration_s": 4.0, "at_limits": "refuse"}
     alone, three, eight = (
         evaluate(SINE, Winding(), episodes=10, num_envs=num_envs, env_kwargs=keywords).episodes
         for num_envs in (1, 3, 8)

@@ -99,7 +99,7 @@ def test_a_finish_counts_for_the_time_that_is_left_and_at_most_for_ever(duration
 
 @pytest.mark.parametrize("refusals", [0.0, 0.5, 1.0])
 def test_a_refused_motion_costs_its_time_and_a_part_of_its_term(refusals):
-    plain, changed = made(refusals)
+    plain, changed = made(refusals, at_limits="refuse")
     rng, before, refused = np.random.default_rng(0), None, 0
     for _ in range(60):
         reward, change, over, infos = stepped(plain, changed, rng.uniform(-1.0, 1.0, (2 * N, 7)))

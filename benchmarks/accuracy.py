@@ -72,7 +72,7 @@ def cycle(calls: int) -> dict[str, float]:
     gate = SafetyGate(
         limits, config.servoj.tick_s, ticks, Clearance(config.scene, minimum_m=config.minimum_clearance_m)
     )
-    pipeline = ServojPipeline(adapter, gate)
+    pipeline = ServojPipeline(adapter, gate, held=None)
 
     settings = SineSettings()
     base_m, from_cell = to_base(mounts)

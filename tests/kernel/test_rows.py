@@ -30,7 +30,7 @@ def make(n: int, threads: int = 1, mode: str = "joint_delta", ticks: int = 5, li
     adapter = ServojAdapter(profile, limits, ticks, n=n, mode=mode, dh=[NOMINAL_DH] * 2, threads=threads)
     clearance = Clearance(SCENE, uncertainty=UNCERTAIN)
     gate = SafetyGate(limits, profile.tick_s, ticks, clearance, n=n, threads=threads)
-    return ServojPipeline(adapter, gate, leads=leads)
+    return ServojPipeline(adapter, gate, held=None, leads=leads)
 
 
 def starts() -> np.ndarray:

@@ -159,7 +159,13 @@ class Core:
         )
         gate = SafetyGate(setup.limits, config.servoj.tick_s, setup.ticks, clearance, n=n, threads=threads)
         proximity = ProximityScaling(clearance, adapter.period_s) if config.controllers else None
-        self.pipeline = ServojPipeline(adapter, gate, leads=setup.options.at_limits == "lead", proximity=proximity)
+        self.pipeline = ServojPipeline(
+            adapter,
+            gate,
+            held=setup.options.held_arm,
+            leads=setup.options.at_limits == "lead",
+            proximity=proximity,
+        )
         self.task = setup.make_task(n)
         self._clearance = clearance
         self.weights = setup.weights

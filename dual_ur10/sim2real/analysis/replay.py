@@ -224,8 +224,8 @@ class _Tap:
         self._pipeline = pipeline
         self.targets_rad: Array = np.zeros(0)
 
-    def __call__(self, action: object) -> Any:
-        command, verdicts = self._pipeline(action)
+    def __call__(self, action: object, *context: Any) -> Any:
+        command, verdicts = self._pipeline(action, *context)
         self.targets_rad = command.targets_rad[0].copy()
         return command, verdicts
 

@@ -37,7 +37,7 @@ class ServojPipeline:
         adapter: ServojAdapter,
         gate: SafetyGate,
         *,
-        held: int | None = None,
+        held: int | None,
         leads: bool = True,
         proximity: ProximityScaling | None = None,
     ) -> None:

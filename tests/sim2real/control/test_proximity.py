@@ -48,7 +48,7 @@ def make_pipeline(
     adapter = ServojAdapter(profile, HARD, ticks, dh=[NOMINAL_DH] * 2, speed_factor=factor)
     gate = SafetyGate(HARD, profile.tick_s, ticks, clearance)
     made = None if proximity is None else proximity(clearance, adapter.period_s)
-    pipeline = ServojPipeline(adapter, gate, leads=False, proximity=made)
+    pipeline = ServojPipeline(adapter, gate, held=None, leads=False, proximity=made)
     pipeline.reset(HOME_Q_RAD[None])
     return pipeline
 

@@ -172,7 +172,7 @@ def test_policies_that_break_a_rule_are_refused(name):
 
 def test_a_policy_refused_by_the_gate_fails_the_check():
     with pytest.raises(PolicyError, match=r"step \d+: the safety gate refused it: .*distance"):
-        check_policy(Bows(), SINE)
+        check_policy(Bows(), SINE, at_limits="refuse")
 
 
 @pytest.mark.parametrize(("policy", "batched"), [(Good(), True), (Single(), False), (Flat(), False)])

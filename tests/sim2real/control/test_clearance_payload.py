@@ -95,7 +95,7 @@ def test_every_pair_of_the_payload_is_measured(prop):
 def test_the_bar_is_not_lifted_against_an_obstacle():
     """Both grippers are half a metre away from it."""
     settings = {"action_latency_ticks": 5, "cell": CellConfig(obstacles=(ROD,))}
-    env = gym.make("DualUR10/SyncCarry-v0", on_refusal="terminate", **settings)
+    env = gym.make("DualUR10/SyncCarry-v0", on_refusal="terminate", at_limits="refuse", **settings)
     policy = policies.load("scripted", "DualUR10/SyncCarry-v0", **settings)
     observation, _ = env.reset(seed=0)
     over = False

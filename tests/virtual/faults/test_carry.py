@@ -67,7 +67,7 @@ def test_arms_are_coupled_from_the_first_action_until_they_rest(lab, monkeypatch
 def test_50_what_is_carried_meets_nothing(lab):
     """The bar's middle would, half a metre from both grippers."""
     lab.configure(obstacle=[ROD])
-    observation, terminated = lab.begin(steps=0), False
+    observation, terminated = lab.begin(steps=0, at_limits="refuse"), False
     for _ in range(300):
         observation, _, terminated, _, info = lab.env.step(lab.policy(observation))
         for wire in lab.wires:

@@ -36,7 +36,7 @@ from dual_ur10.envs.tasks.observation_layout import (
     wrench_fields,
     wrench_values,
 )
-from dual_ur10.envs.tasks.staged import Progress, StagedTask, stage
+from dual_ur10.envs.tasks.staged import Progress, StagedTask, stage, term
 from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Task, Timing, check_numbers, gaussian
 from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics.frames import Frames
@@ -117,6 +117,7 @@ __all__ = [
     "relative_to",
     "rotation_angle",
     "stage",
+    "term",
     "wrench_fields",
     "wrench_values",
     "yaw_quat",

@@ -20,7 +20,7 @@ from dual_ur10.envs.core.sensing import Sensing
 from dual_ur10.envs.core.setup import EnvSetup, check_for_controllers, check_reset
 from dual_ur10.envs.tasks.observation_layout import ConciseView
 from dual_ur10.envs.tasks.task import Outcome, Timing
-from dual_ur10.errors import ActionError, CellFaulted, ClosedError, DualUR10Error, ResetNeededError
+from dual_ur10.errors import ActionError, CellFaulted, ClosedError, DualUR10Error, ResetNeededError, SettingsError
 from dual_ur10.sim2real.config.cell import Cell, CellConfig, CellState, CellStep
 from dual_ur10.sim2real.config.cell_kinds import make_cell
 from dual_ur10.sim2real.control.adapter import Command
@@ -284,6 +284,7 @@ class Core:
 
         Raises:
             ActionError: The action is malformed. Nothing has moved.
+            SettingsError: The task returned another number of terms than it has weights.
             ResetNeededError: There was no reset yet.
         """
         cell = self._open()
@@ -356,7 +357,13 @@ class Core:
 
     def _all_terms(self, terms: Array, refused: Sequence[int], success: Mask) -> Array:
         """Return the terms of the arms with those of refusals and success, as far as there are weights for them."""
-        count = terms.shape[2]
+        count = len(self.task.weights)
+        if terms.shape[2] != count:
+            found, allowed = (
+                f"{terms.shape[2]} terms",
+                f"{count}, one for each of its weights: {', '.join(self.task.weights)}",
+            )
+            raise SettingsError(f"evaluate of {type(self.task).__name__} returned {found}: return {allowed}")
         if count == len(self._weights):
             return terms
         result = np.zeros((self.n, 2, len(self._weights)))

@@ -21,6 +21,7 @@ Progress = Number | tuple[Number, Number]
 """Progress towards passing a stage: of both roles, or of the first and the second one."""
 
 StageMethod = Callable[[Any, Any], tuple[Number, Progress]]
+TermMethod = Callable[[Any, Any], Progress]
 
 FINISH: Final = "finish"
 """Reward term of success: the number of steps that remain when an episode ends with it, times its quality."""
@@ -75,18 +76,36 @@ def stage(
     return mark
 
 
+def term(weight: float) -> Callable[[TermMethod], TermMethod]:
+    """Make a method of a `StagedTask` a reward term of its name, on which no stage depends.
+
+    The method gets what `StagedTask.facts` returns, in each step, after the stages are evaluated. It returns the value
+    of the term, 0 to 1: (n,) for the first and for the second role, or one for both.
+
+    Args:
+        weight: Weight of the reward term.
+    """
+
+    def mark(method: TermMethod) -> TermMethod:
+        method.term_weight = weight  # type: ignore[attr-defined]
+        return method
+
+    return mark
+
+
 class StagedTask(Task[SettingsT, MeasuredT], Generic[SettingsT, MeasuredT, NowT]):
     """Task whose episodes pass stages in their order; several are passed at once if their conditions hold.
 
     A subclass decorates one method per stage with `stage`, in order. Each is a reward term: its largest value once the
-    stage is passed, which is never lost, and progress while it is the next one. The term `FINISH` replaces the reward
-    of the steps that success spares. `info["stage"]` is the number of stages passed.
+    stage is passed, which is never lost, and progress while it is the next one. Methods decorated with `term` are
+    further terms. The term `FINISH` replaces the reward of the steps that success spares. `info["stage"]` is the number
+    of stages passed.
 
     An arm has a role: first or second. Without `begin_rows(rows, first)` the left arm is first.
 
     Attributes:
         stages: Names of the stages.
-        weights: Weights of their terms, and that of `FINISH`, 1.
+        weights: Weights of their terms, of further terms, and that of `FINISH`, 1.
         settled_s: Time for which the last stage's condition must hold, in a row, before the episode ends with success.
         duration_s: Time of an episode.
         passed: (n,) number of stages passed.
@@ -100,21 +119,29 @@ class StagedTask(Task[SettingsT, MeasuredT], Generic[SettingsT, MeasuredT, NowT]
         duration_s: Time of an episode.
 
     Raises:
-        SettingsError: The class has no stage.
+        SettingsError: The class has no stage. A class with `weights` of its own is refused when it is made.
     """
 
     settled_s: ClassVar[float] = 0.5
     _stages: ClassVar[tuple[StageMethod, ...]] = ()
+    _further: ClassVar[tuple[TermMethod, ...]] = ()
 
     def __init_subclass__(cls, **keywords: Any) -> None:
-        """Collect the stages."""
+        """Collect the stages and the further terms."""
         super().__init_subclass__(**keywords)
+        if "weights" in vars(cls):
+            raise SettingsError(
+                f"{cls.__name__} sets weights: give each to its method, as `stage(weight=...)` or `term(...)`"
+            )
         found = {name: method for each in reversed(cls.__mro__) for name, method in vars(each).items()}
         cls._stages = tuple(method for method in found.values() if hasattr(method, "stage"))
+        cls._further = tuple(method for method in found.values() if hasattr(method, "term_weight"))
         cls.stages = tuple(method.__name__ for method in cls._stages)
         if "couples" not in vars(cls):
             cls.couples = any(each.stage.coupled for each in cls._stages)  # type: ignore[attr-defined]
-        cls.weights = {**{each.__name__: each.stage.weight for each in cls._stages}, FINISH: 1.0}  # type: ignore[attr-defined]
+        weights = {each.__name__: each.stage.weight for each in cls._stages}  # type: ignore[attr-defined]
+        further = {each.__name__: each.term_weight for each in cls._further}  # type: ignore[attr-defined]
+        cls.weights = {**weights, **further, FINISH: 1.0}
 
     def __init__(self, settings: SettingsT, cell: CellConfig, timing: Timing, n: int, duration_s: float) -> None:
         super().__init__(settings, cell, timing, n)
@@ -208,7 +235,7 @@ class StagedTask(Task[SettingsT, MeasuredT], Generic[SettingsT, MeasuredT, NowT]
         return Outcome(terms, success, over & ~terminal, info, terminal)
 
     def _advance(self, now: NowT) -> tuple[Array, Mask]:
-        """Pass stages, and return the terms of the arms, (n, 2, stages + 1), and the rows that passed all, (n,)."""
+        """Pass stages, and return the terms of the arms, (n, 2, terms), and the rows that passed all, (n,)."""
         passed, count = self.passed, len(self._stages)
         progress, done = np.zeros((self.n, 2, count)), np.zeros(self.n, dtype=bool)
         least, most = self._passed_by_rows()
@@ -226,6 +253,13 @@ class StagedTask(Task[SettingsT, MeasuredT], Generic[SettingsT, MeasuredT, NowT]
                 done = condition & (passed == count)
         progress *= self._due.take(passed, axis=0)
         progress += self._earned.take(passed, axis=0)
+        if self._further:
+            further = np.empty((self.n, 2, len(self._further)))
+            for number, method in enumerate(self._further):
+                both = method(self, now)
+                further[:, 0, number], further[:, 1, number] = both if isinstance(both, tuple) else (both, both)
+            progress = np.concatenate([progress, further], axis=2)
+            count += len(self._further)
         terms = np.zeros((self.n, 2, count + 1))
         terms[..., :-1] = progress.reshape(2 * self.n, count).take(self._arms, axis=0)
         return terms, done

@@ -65,7 +65,7 @@ class Verdict:
         side = "at least" if self.kind == "distance" else "at most"
         return (
             f"{self.subject}: {self.kind} {self.found:.6g} {unit}, allowed {side} {self.allowed:.6g} {unit} "
-            f"(tick {self.tick}); the arms brake to rest and stay there until a reset"
+            f"(tick {self.tick}); the arms brake to rest"
         )
 
 

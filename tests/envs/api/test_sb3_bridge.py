@@ -96,7 +96,9 @@ def test_types_and_shapes():
 
 
 def test_one_cell_ends_alone():
-    env = TwoAgentVecEnv(SINE, 3, action_mode="joint_position", randomize=False, on_refusal="terminate", at_limits="refuse")
+    env = TwoAgentVecEnv(
+        SINE, 3, action_mode="joint_position", randomize=False, on_refusal="terminate", at_limits="refuse"
+    )
     env.seed(0)
     env.reset()
     start = np.array([info["q_rad"] for info in env.reset_infos])

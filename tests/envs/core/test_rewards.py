@@ -91,3 +91,15 @@ def test_an_episode_without_success_earns_nothing():
 def test_bad_keywords_of_the_reward_are_refused_by_name(keywords, error, text):
     with pytest.raises(error, match=text):
         gym.make(SINE, **keywords)
+
+
+@pytest.mark.parametrize(("change", "found"), [(1, "4 terms"), (-1, "2 terms")])
+def test_terms_without_a_weight_each_are_refused(change, found):
+    core = Core("SineTracking", {})
+    core.reset([np.random.default_rng(0)])
+    evaluate = core.task.evaluate
+    core.task.evaluate = lambda *args: (it := evaluate(*args))._replace(
+        terms=np.zeros((1, 2, it.terms.shape[2] + change))
+    )
+    with pytest.raises(SettingsError, match=f"SineTracking returned {found}: return 3, one for each"):
+        core.step(np.zeros(12))

@@ -1,6 +1,6 @@
 """Base of tasks with stages: order, terms, settling, loads and coupling, by row."""
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from dual_ur10.envs.tasks.cases import Cases
 from dual_ur10.envs.tasks.observation_layout import ARM_FIELDS, ObservationLayout
-from dual_ur10.envs.tasks.staged import StagedTask, stage
+from dual_ur10.envs.tasks.staged import StagedTask, stage, term
 from dual_ur10.envs.tasks.task import Timing
 from dual_ur10.errors import SettingsError
 from dual_ur10.sim2real.config.cell import CellConfig
@@ -99,6 +99,35 @@ def test_a_subclass_replaces_a_stage_in_its_place():
     assert Other.stages == Errand.stages
     assert Other.weights["carry"] == 0.7
     assert not Other.couples
+
+
+def test_further_terms_stand_between_the_stages_and_the_end():
+    class Tidy(Errand):
+        @term(weight=0.1)
+        def tidy(self, now):
+            return now.progress[:, 1, 0], now.progress[:, 1, 1]
+
+        @term(weight=0.0)
+        def calm(self, now):
+            return 0.25
+
+    assert list(Tidy.weights.items())[3:] == [("tidy", 0.1), ("calm", 0.0), ("finish", 1.0)]
+    task = Tidy(None, CellConfig(), TIMING, N, 2.0)
+    task.begin_rows(np.arange(N), [0, 1, 0, 1])
+    progress = np.zeros((N, STAGES, 2))
+    progress[:, 1] = (0.75, 0.5)
+    terms = task.evaluate(None, now(progress=progress)).terms
+    assert terms.shape == (N, 2, 6)
+    assert terms[:, :, 3].tolist() == [[0.75, 0.5], [0.5, 0.75]] * 2
+    assert (terms[:, :, 4] == 0.25).all()
+    assert (terms[:, :, [0, 2, 5]] == 0).all()
+
+
+def test_weights_beside_the_stages_are_refused():
+    with pytest.raises(SettingsError, match="Other sets weights: give each to its method"):
+
+        class Other(Errand):
+            weights: ClassVar = {**Errand.weights, "extra": 0.1}
 
 
 conditions = st.lists(st.tuples(*[st.tuples(*[st.booleans()] * STAGES)] * N), min_size=1, max_size=8)

@@ -286,7 +286,7 @@ class Handover(StagedTask[HandoverSettings, HandoverMeasured, Facts]):
     - "success": all stages were passed and the block has lain on its target for 0.5 s;
     - "block_fell": it fell from the table;
     - "block_out_of_reach": it lies where no arm can reach it;
-    - "refused/<limit>": the safety gate refused a motion; `info["safety"]` gives the details;
+    - "refused/<limit>": with `on_refusal="terminate"`, the safety gate refused a motion; see `info["safety"]`;
     - "physics": the simulation diverged (`info["physics_error"]`).
 
     ### Truncation

@@ -145,8 +145,8 @@ class SineTracking(Task[SineSettings, SineMeasured]):
 
     ### Termination
 
-    `info["end_reason"]` is "refused/<limit>" if the safety gate refused a motion (`info["safety"]` gives the details),
-    and "physics" if the simulation diverged (`info["physics_error"]`).
+    `info["end_reason"]` is "refused/<limit>" if the safety gate refused a motion and `on_refusal="terminate"`
+    (`info["safety"]` gives the details), and "physics" if the simulation diverged (`info["physics_error"]`).
 
     ### Truncation
 

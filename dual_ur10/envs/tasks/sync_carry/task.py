@@ -206,7 +206,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
     `info["end_reason"]` is
 
     - "bar_lost": the bar is more than 0.15 m away from its reference, because it was dropped or never lifted;
-    - "refused/<limit>": the safety gate refused a motion; `info["safety"]` gives the details;
+    - "refused/<limit>": with `on_refusal="terminate"`, the safety gate refused a motion; see `info["safety"]`;
     - "physics": the simulation diverged (`info["physics_error"]`).
 
     ### Truncation

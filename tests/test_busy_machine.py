@@ -56,6 +56,7 @@ def outcomes(pytester, monkeypatch):
     monkeypatch.setattr("tests.busy_machine._REST_S", 0.0)
 
     def run(code, unsafe=False):
+        pytester.makeini("[pytest]")  # that of no folder above
         pytester.makeconftest(CONFTEST.replace("UNSAFE", str(unsafe)))
         pytester.makepyfile(f"import ctypes, pytest, time\nfrom conftest import Lab, ViolationError\n\n{code}")
         found = pytester.runpytest_inprocess("-p", "no:cacheprovider", "-p", "no:xdist").parseoutcomes()

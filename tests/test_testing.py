@@ -265,6 +265,7 @@ def test_the_documented_example_runs_in_another_project(tmp_path, monkeypatch):
     (tmp_path / "test_it.py").write_text(tests + MORE)
     home = tmp_path / "state"
     monkeypatch.setenv("XDG_STATE_HOME", str(home))
+    (tmp_path / "pytest.ini").write_text("[pytest]\n")  # settings of no folder above
     command = [sys.executable, "-m", "pytest", "-q", "--strict-markers", "-p", "no:cacheprovider", "-W", "error"]
     for _ in range(3):
         found = subprocess.run([*command, str(tmp_path)], cwd=tmp_path, capture_output=True, text=True, timeout=240)
@@ -287,6 +288,7 @@ def test_illegal_options_are_refused(tmp_path):
     (tmp_path / "conftest.py").write_text('pytest_plugins = ["dual_ur10.testing"]\n')
     tests = [f"{mark}\ndef test_{row}(emulated_cell): pass\n" for row, mark in enumerate(WRONG)]
     (tmp_path / "test_it.py").write_text("import pytest\n" + "".join(tests))
+    (tmp_path / "pytest.ini").write_text("[pytest]\n")  # settings of no folder above
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(tmp_path)]
     run = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
     assert "4 errors" in run.stdout, run.stdout

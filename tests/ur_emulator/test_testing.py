@@ -43,6 +43,7 @@ def test_the_documented_fixture_runs_in_another_project(tmp_path):
     # Beside the fixtures of cells, which are a plugin, too.
     (tmp_path / "conftest.py").write_text(CONFTEST.replace("[", '["dual_ur10.testing", '))
     (tmp_path / "test_it.py").write_text(TESTS + MORE)
+    (tmp_path / "pytest.ini").write_text("[pytest]\n")  # settings of no folder above
     command = [sys.executable, "-m", "pytest", "-q", "--strict-markers", "-p", "no:cacheprovider", "-W", "error"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     found = subprocess.run(

@@ -126,7 +126,7 @@ docs: $(VENV)/.dev $(KERNEL)  ## build the documentation site into out/site, str
 
 test-torchrl: $(VENV)/.dev $(KERNEL)  ## TorchRL's own wrappers and checks, which `make test` skips without TorchRL
 	@$(VENV)/bin/python -m pip install $(PIP_FLAGS) -c constraints.txt torchrl
-	@$(VENV)/bin/python -m pytest tests/envs/api/test_torchrl.py
+	@$(VENV)/bin/python -m pytest tests/envs/api/test_torchrl.py tests/test_examples.py -k torchrl
 
 test-dist: $(DIST)/.dev $(KERNEL)  ## training on Ray RLlib with two workers on this machine
 	@$(DIST)/bin/python -m pytest tests/distributed

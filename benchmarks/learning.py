@@ -2,6 +2,7 @@
 
 python benchmarks/learning.py [--episodes 300] [--randomization mild,none] [--tasks SineTracking] [--json FILE]
 python benchmarks/learning.py --parts from_scratch --tasks SineTracking --seeds 3 [--plot FILE]
+python benchmarks/learning.py --parts stock --seeds 3 --episodes 100
 
 Seeds begin at 0; trainings use other seeds to learn and to check their progress. The intervals are
 Wilson's, of 95 %. On controllers in real time: `python -m dual_ur10 evaluate ENV --policy learned --cell FILE`.
@@ -17,6 +18,10 @@ Parts:
         action mode. The return is a ratio of the scripted policy's on the same seeds; steps and minutes are those of
         the first progress check that had half and 90 % of it. Minutes grow with the load of the machine; cpu_minutes
         are the processor time of all threads.
+    stock: for each task the returns of zero, uniform and normal actions as ratios of the script's (`returns.py`). For
+        SineTracking also Stable-Baselines3 by itself, with what `examples/train_with_sb3.py` states: `snippet` (PPO),
+        `stock_sac` and `stock_td3`, and `stock_ppo`, with its defaults. The worst of all seeds; minutes without
+        progress checks. Only where it is named.
     from_demonstrations: behaviour cloning of 20 episodes of the scripted policy under noise, evaluated in the
         environment of the training; only where it is named. Steps are those of the demonstrations.
 """
@@ -29,8 +34,10 @@ import os
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
+import sys
 import tempfile
 import time
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +54,16 @@ from dual_ur10.policies.training import state
 from dual_ur10.policies.training.settings import defaults, task_settings
 from dual_ur10.policies.training.train import train
 
-PARTS = ("shipped", "range", "wide", "cell", "from_scratch", "from_demonstrations")
+sys.path.append(str(Path(__file__).parents[1] / "examples"))
+
+PARTS = ("shipped", "range", "wide", "cell", "from_scratch", "stock", "from_demonstrations")
+STOCK: dict[str, dict[str, Any]] = {
+    "snippet": {"algorithm": "PPO"},
+    "stock_ppo": {"algorithm": "PPO", "steps": 500_000, "settings": {}, "cells": 1},
+    "stock_sac": {"algorithm": "SAC"},
+    "stock_td3": {"algorithm": "TD3"},
+}
+"""Trainings of the part stock, as in `examples/train_with_sb3.py` but for what is stated here."""
 DEMONSTRATIONS: dict[str, dict[str, Any]] = {
     "DualUR10/Handover-v0": {"steps": 5_600, "agents": "shared", "keywords": {"action_mode": "tcp_delta"}},
     "DualUR10/SyncCarry-v0": {"steps": 17_000},
@@ -75,7 +91,8 @@ def main() -> None:
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS[:3])
     parser.add_argument("--randomization", default="mild,none", help="presets of the part shipped, with commas")
     parser.add_argument("--cells", type=int, default=20, help="episodes of the part cell")
-    parser.add_argument("--seeds", type=int, default=3, help="trainings of the part from_scratch")
+    parser.add_argument("--seeds", type=int, default=3, help="trainings of the parts from_scratch and stock")
+    parser.add_argument("--learners", nargs="*", choices=list(STOCK), default=list(STOCK), help="of the part stock")
     parser.add_argument("--plot", type=Path, help="draw the curves of the part from_scratch to this PNG file")
     parser.add_argument("--tasks", default="", help="names, with commas between them; all without")
     parser.add_argument("--json", type=Path)
@@ -104,6 +121,8 @@ def main() -> None:
                 found["cell"] = on_cells(env_id, name, args.cells)
         if "from_scratch" in args.parts:
             results.setdefault(task, {})["from_scratch"] = from_scratch(env_id, args.episodes, args.seeds, args.plot)
+        if "stock" in args.parts:
+            results.setdefault(task, {}).update(stock(env_id, args.episodes, args.seeds, args.learners))
         if "from_demonstrations" in args.parts and env_id in DEMONSTRATIONS:
             results.setdefault(task, {})["from_demonstrations"] = from_demonstrations(env_id, args.episodes)
     if args.json is not None:
@@ -196,6 +215,30 @@ def from_scratch(env_id: str, episodes: int, seeds: int, plot: Path | None) -> d
         "steps": rows[0]["steps"],
         "seeds": rows,
     }
+
+
+def stock(env_id: str, episodes: int, seeds: int, learners: Iterable[str]) -> dict[str, Any]:
+    """Measure the floors of a task and, for SineTracking, what stock learners reach; print the rows and return them."""
+    import returns
+    import train_with_sb3 as example
+
+    floors = {name: each for name, each in returns.COMMON.items() if each.group in ("floor", "script")}
+    earned = {name: float(row["return"].mean()) for name, row in returns.measure(env_id, floors, range(2)).items()}
+    script = earned.pop("script")
+    result: dict[str, Any] = {f"{name}_ratio": each / script for name, each in earned.items()}
+    print(f"{env_id}: {json.dumps(result)}", flush=True)
+    for name in learners if env_id == "DualUR10/SineTracking-v0" else ():
+        rows = []
+        for seed in range(seeds):
+            print(f"{env_id}, {name}, seed {seed}, load {os.getloadavg()[0]:.1f}", flush=True)
+            model, minutes = example.train(seed=seed, **STOCK[name])
+            found = {key: float(each) for key, each in example.measure(model, episodes, 0).items()}
+            found |= {"return_ratio": found["return"] / script, "steps": model.num_timesteps, "minutes": minutes}
+            print(json.dumps(found), flush=True)
+            rows.append(found)
+        worst = {"steps": max, "minutes": max, "error_mm": max}
+        result[name] = {key: worst.get(key, min)(row[key] for row in rows) for key in rows[0]} | {"seeds": rows}
+    return result
 
 
 def from_demonstrations(env_id: str, episodes: int) -> dict[str, Any]:

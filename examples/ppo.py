@@ -1,9 +1,9 @@
 """PPO in one file, on SineTracking, from scratch: python examples/ppo.py [STEPS] [FOLDER] [SEED] [EPISODES].
 
-J. Schulman et al., "Proximal Policy Optimization Algorithms", 2017. One network acts for each arm by itself, from its
-commanded joints and the step from there to its reference, and learns from the reward of its arm alone. The result is a
-checkpoint: python -m dual_ur10 evaluate SineTracking --policy FOLDER. `python -m dual_ur10 train SineTracking --algo
-ppo` does the same with Stable-Baselines3.
+J. Schulman et al., "Proximal Policy Optimization Algorithms", 2017, with PyTorch and Gymnasium's vector interface
+alone. It prints the curve of its training. The result is a checkpoint:
+
+python -m dual_ur10 evaluate SineTracking --policy FOLDER --set observation=goals --set action_scale=0.5
 """
 
 import sys
@@ -15,36 +15,29 @@ import torch
 from torch import nn
 from torch.distributions import Normal
 
-from dual_ur10.envs.tasks.sine_tracking.task import SineTracking
 from dual_ur10.policies import evaluate
 from dual_ur10.policies.learned import checkpoint
 from dual_ur10.policies.learned.manifest import Manifest
-from dual_ur10.policies.learned.network import NetworkShape, Normaliser
+from dual_ur10.policies.learned.network import NetworkShape
 
 ENV_ID = "DualUR10/SineTracking-v0"
-STEPS = int(sys.argv[1]) if len(sys.argv) > 1 else 1_000_000
+KEYWORDS = {"observation": "goals", "action_scale": 0.5}
+STEPS = int(sys.argv[1]) if len(sys.argv) > 1 else 600_000
 FOLDER = sys.argv[2] if len(sys.argv) > 2 else "sine_ppo"
 SEED = int(sys.argv[3]) if len(sys.argv) > 3 else 0
 EPISODES = int(sys.argv[4]) if len(sys.argv) > 4 else 100  # of the evaluation
 
-CELLS, ROLLOUT, EPOCHS, BATCH = 64, 16, 5, 256
-RATE, GAMMA, LAMBDA, CLIP = 1e-3, 0.9, 0.9, 0.2
-FIRST_STD, LAST_STD = 0.1, 0.006  # of actions: in the end the arms must follow them without lag
+CELLS, ROLLOUT, EPOCHS, BATCH = 64, 16, 10, 256
+RATE, GAMMA, LAMBDA, CLIP = 1e-3, 0.9, 0.95, 0.2
+FIRST_LOG_STD = -2.0  # of actions; it is learned, and falls
 EPISODE = 100  # steps: an untrained policy is back at the reference before it has drifted far
 HIDDEN = 64
-SEEN = SineTracking.layout.indices(("commanded_q_rad", "step_m", "step_rad"))  # of an arm's observation
-SIZE, ACTIONS = len(SEEN), 6
 
+checkpoint.check_new(FOLDER)  # before the training, not after it
 torch.set_num_threads(1)  # the cells use the others
 torch.manual_seed(SEED)
-envs = gym.make_vec(ENV_ID, num_envs=CELLS, autoreset_mode="Disabled", max_episode_steps=EPISODE)
-core = envs.unwrapped.core
-ROWS = 2 * CELLS
-
-
-def seen(observation: np.ndarray) -> np.ndarray:
-    """Return what each arm sees, (2 k, size), of observations of both, (k, 94)."""
-    return observation.reshape(2 * len(observation), -1)[:, SEEN]
+envs = gym.make_vec(ENV_ID, num_envs=CELLS, autoreset_mode="Disabled", max_episode_steps=EPISODE, **KEYWORDS)
+SIZE, ACTIONS = envs.single_observation_space.shape[0], envs.single_action_space.shape[0]
 
 
 def network(outputs: int, gain: float) -> nn.Sequential:
@@ -59,59 +52,44 @@ def network(outputs: int, gain: float) -> nn.Sequential:
     return nn.Sequential(*layers[:-1])
 
 
-class Moments:
-    """Running mean and variance of observations."""
-
-    def __init__(self) -> None:
-        self.mean, self.var, self.count = np.zeros(SIZE), np.ones(SIZE), 1e-4
-
-    def add(self, values: np.ndarray) -> None:
-        """Take more of them, (k, size)."""
-        count = self.count + len(values)
-        off = values.mean(axis=0) - self.mean
-        squares = self.var * self.count + values.var(axis=0) * len(values)
-        self.var = (squares + off**2 * self.count * len(values) / count) / count
-        self.mean, self.count = self.mean + off * len(values) / count, count
-
-    def __call__(self, values: np.ndarray) -> torch.Tensor:
-        """Return them normalised, as float32."""
-        return torch.from_numpy(((values - self.mean) / np.sqrt(self.var + 1e-8)).clip(-10, 10).astype(np.float32))
-
-
-actor, critic, moments = network(ACTIONS, 0.01), network(1, 1.0), Moments()
-parameters = [*actor.parameters(), *critic.parameters()]
+actor, critic = network(ACTIONS, 0.01), network(1, 1.0)
+log_std = nn.Parameter(torch.full((ACTIONS,), FIRST_LOG_STD))
+parameters = [*actor.parameters(), log_std, *critic.parameters()]
 optimizer = torch.optim.Adam(parameters, lr=RATE, eps=1e-5)
 
-observation = seen(envs.reset(seed=1_000_000_000 + 1_000_000 * SEED)[0])
-moments.add(observation)
+
+def log_prob(inputs: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
+    """Return the logarithm of the density of actions, (k,)."""
+    return Normal(actor(inputs), log_std.exp()).log_prob(actions).sum(-1)
+
+
+observation = envs.reset(seed=1_000_000_000 + 1_000_000 * SEED)[0]
 begun_s, updates = time.monotonic(), max(1, STEPS // (CELLS * ROLLOUT))
 for update in range(updates):
-    share = update / updates
-    std = FIRST_STD * (LAST_STD / FIRST_STD) ** min(1.0, share / 0.9)
-    optimizer.param_groups[0]["lr"] = RATE * (1 - share)
+    optimizer.param_groups[0]["lr"] = RATE * (1 - update / updates)
 
     # Collect a rollout with the policy as it is.
-    raw, rewards, ends = np.empty((ROLLOUT, ROWS, SIZE)), np.empty((ROLLOUT, ROWS)), np.empty((ROLLOUT, ROWS))
-    inputs, actions = torch.empty(ROLLOUT, ROWS, SIZE), torch.empty(ROLLOUT, ROWS, ACTIONS)
+    inputs, actions = torch.empty(ROLLOUT, CELLS, SIZE), torch.empty(ROLLOUT, CELLS, ACTIONS)
+    rewards, ends = np.empty((ROLLOUT, CELLS)), np.empty((ROLLOUT, CELLS))
+    errors = []
     with torch.no_grad():
         for step in range(ROLLOUT):
-            raw[step], inputs[step] = observation, moments(observation)
-            actions[step] = Normal(actor(inputs[step]), std).sample()
-            both, _, terminated, truncated, _ = envs.step(actions[step].clamp(-1, 1).numpy().reshape(CELLS, -1))
-            over, observation = terminated | truncated, seen(both)
-            rewards[step], ends[step] = core.agents.rewards.reshape(-1), np.repeat(over, 2)
-            cut = np.flatnonzero(np.repeat(truncated & ~terminated, 2))
+            inputs[step] = torch.from_numpy(observation)
+            actions[step] = Normal(actor(inputs[step]), log_std.exp()).sample()
+            observation, rewards[step], terminated, truncated, info = envs.step(actions[step].clamp(-1, 1).numpy())
+            ends[step] = terminated | truncated
+            errors.append(info["flange_error_m"].mean())
+            cut = np.flatnonzero(truncated & ~terminated)
             if cut.size:  # time ran out, which says nothing of the state: its value counts
-                rewards[step, cut] += GAMMA * critic(moments(observation[cut])).numpy()[:, 0]
-            if over.any():
-                observation = seen(envs.reset(options={"reset_mask": over})[0])
+                rewards[step, cut] += GAMMA * critic(torch.from_numpy(observation[cut])).numpy()[:, 0]
+            if ends[step].any():
+                observation = envs.reset(options={"reset_mask": ends[step] > 0})[0]
         values = critic(inputs)[..., 0].numpy()
-        following = np.concatenate([values[1:], critic(moments(observation)).numpy().T])
-        before = Normal(actor(inputs), std).log_prob(actions).sum(-1).flatten()
-    moments.add(raw.reshape(-1, SIZE))
+        following = np.concatenate([values[1:], critic(torch.from_numpy(observation)).numpy().T])
+        before = log_prob(inputs, actions).flatten()
 
     # Generalized advantage estimation (J. Schulman et al., 2016).
-    advantages, last = np.empty_like(rewards), np.zeros(ROWS)
+    advantages, last = np.empty_like(rewards), np.zeros(CELLS)
     for step in reversed(range(ROLLOUT)):
         goes_on = 1.0 - ends[step]
         last = rewards[step] + GAMMA * goes_on * (following[step] + LAMBDA * last) - values[step]
@@ -121,36 +99,30 @@ for update in range(updates):
     inputs, actions = inputs.flatten(0, 1), actions.flatten(0, 1)
 
     for rows in [part for _ in range(EPOCHS) for part in torch.randperm(len(inputs)).split(BATCH)]:
-        ratio = (Normal(actor(inputs[rows]), std).log_prob(actions[rows]).sum(-1) - before[rows]).exp()
+        ratio = (log_prob(inputs[rows], actions[rows]) - before[rows]).exp()
         gain = (advantage[rows] - advantage[rows].mean()) / (advantage[rows].std() + 1e-8)
         surrogate = torch.minimum(gain * ratio, gain * ratio.clamp(1 - CLIP, 1 + CLIP))
-        loss = -surrogate.mean() + 0.25 * (critic(inputs[rows])[:, 0] - returns[rows]).square().mean()
+        loss = -surrogate.mean() + 0.5 * (critic(inputs[rows])[:, 0] - returns[rows]).square().mean()
         optimizer.zero_grad()
         loss.backward()
         nn.utils.clip_grad_norm_(parameters, 0.5)
         optimizer.step()
 
-    if update % 200 == 199 or update == updates - 1:
-        minutes = (time.monotonic() - begun_s) / 60
-        print(f"{(update + 1) * CELLS * ROLLOUT:9} steps, {minutes:.1f} min, reward {rewards.mean():.3f} per step")
+    if update % 50 == 49 or update == updates - 1:
+        minutes, std = (time.monotonic() - begun_s) / 60, log_std.exp().mean().item()
+        print(
+            f"{(update + 1) * CELLS * ROLLOUT:9} steps, {minutes:5.1f} min, flange error {1e3 * np.mean(errors):5.1f} "
+            f"mm while exploring with a standard deviation of {std:.3f}",
+            flush=True,
+        )
 
-# A checkpoint holds numbers and text only, is checked against its environment, and runs without torch. Its network
-# takes the whole observation of an agent: weights of what it does not see are 0.
+# A checkpoint holds numbers and text only, is checked against its environment, and runs without torch.
 layers = [each for each in actor if isinstance(each, nn.Linear)]
 weights = [(each.weight.detach().numpy(), each.bias.detach().numpy()) for each in layers]
-AGENT = SineTracking.layout.size
-first, mean, var = np.zeros((HIDDEN, AGENT), np.float32), np.zeros(AGENT), np.ones(AGENT)
-first[:, SEEN], mean[SEEN], var[SEEN] = weights[0][0], moments.mean, moments.var
-weights[0] = first, weights[0][1]
-manifest = Manifest(
-    signature=checkpoint.signature_of(ENV_ID),
-    agents="shared",
-    network=NetworkShape((AGENT, HIDDEN, HIDDEN, ACTIONS), "tanh", "clip"),
-    normalisers=(Normaliser(tuple(mean.tolist()), tuple(var.tolist())),),
-    seed=SEED,
-)
-checkpoint.save(FOLDER, [weights], manifest)
+shape = NetworkShape((SIZE, HIDDEN, HIDDEN, ACTIONS), "tanh", "clip")
+signature = checkpoint.signature_of(ENV_ID, **KEYWORDS)
+checkpoint.save(FOLDER, [weights], Manifest(signature=signature, agents="joint", network=shape, seed=SEED))
 envs.close()
 
-found = evaluate(ENV_ID, FOLDER, episodes=EPISODES, num_envs=min(EPISODES, 50))
+found = evaluate(ENV_ID, FOLDER, episodes=EPISODES, num_envs=min(EPISODES, 50), env_kwargs=KEYWORDS)
 print(f"{found.successes} of {EPISODES} episodes succeed, mean return {found.mean_return:.1f}")

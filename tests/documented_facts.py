@@ -45,6 +45,11 @@ SOURCES = [
         r"^PPO from scratch, SyncCarry \([^:]*\): success in (?P<ppo_carry>\d+ of \d+) with each [^;]*; "
         r"(?P<carry0>\d+), (?P<carry1>\d+) and (?P<carry2>\d+) minutes",
     ),
+    (
+        BENCHMARKS,
+        r"^Stock Stable-Baselines3, SineTracking, the README's [\s\S]*? success in (?P<stock>100) of 100 episodes, .* "
+        r"flange error (?P<stock_mm>\S+) mm, after (?P<stock_steps>\S+) steps and (?P<stock_minutes>\S+) minutes",
+    ),
     (BENCHMARKS, r"^Twenty demonstrations, .*: (?P<twenty>\d+ of \d+) .* in (?P<twenty_minutes>\S+) minutes"),
     (
         BENCHMARKS,
@@ -237,6 +242,8 @@ STATEMENTS = [
     (README, "{handover_mild} of 300 (handover);"),
     (README, "{least_min} to {most_min} min of training"),
     (README, "success in {ppo_sine} episodes with each, {ppo_return} of the script's return; {ppo_minutes} min each"),
+    (README, "its flanges are {stock_mm} mm off in the mean, and all of them succeed; {stock_minutes} min"),
+    ("docs/how-to/train-your-own.md", "| {stock_minutes} | | return |"),
     (README, "block placed in {placed0}, {placed1} and {placed2} %;"),
     (README, "success, which allows no refused motion, in {ppo_handover};"),
     (README, "{ppo_handover_minutes} min on one core"),

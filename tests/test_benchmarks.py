@@ -1,5 +1,6 @@
 """Benchmarks that nobody runs for a while still run."""
 
+import functools
 import importlib
 import pathlib
 import sys
@@ -53,3 +54,20 @@ def test_demonstrations_are_imitated_and_evaluated(monkeypatch):
     assert found["steps"] == 500
     assert found["minutes"] > 0.0
     assert 0.0 <= found["success"] <= 1.0
+
+
+def test_stock_learners_are_measured(monkeypatch):
+    pytest.importorskip("stable_baselines3")
+    monkeypatch.syspath_prepend(FOLDER)
+    learning, returns = importlib.import_module("learning"), importlib.import_module("returns")
+    example = importlib.import_module("train_with_sb3")
+    monkeypatch.setattr(returns, "measure", functools.partial(returns.measure, max_episode_steps=20))
+    monkeypatch.setitem(example.SEEN, "duration_s", 0.4)
+    for name in learning.STOCK:
+        monkeypatch.setitem(learning.STOCK[name], "steps", 128)
+    found = learning.stock("DualUR10/SineTracking-v0", 2, 1, ["snippet", "stock_td3"])
+    assert set(found) == {"zero_ratio", "uniform_ratio", "normal_ratio", "snippet", "stock_td3"}
+    assert found["snippet"]["steps"] == 1024  # one update
+    assert found["stock_td3"]["steps"] == 128
+    assert found["snippet"]["return_ratio"] < found["zero_ratio"]  # of an episode of 10 steps
+    assert found["snippet"]["error_mm"] > 0.0

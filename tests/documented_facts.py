@@ -267,7 +267,7 @@ STATEMENTS = [
     (TRAIN, "| {twenty} | {twenty_minutes} |"),
     (TRAIN, "succeeds in {again_mild} (mild), {again_nominal} (nominal) and {again_wide} (wide) of 300 episodes"),
     (BENCHMARKS, "gave {again_mild} (mild), {again_nominal} (nominal) and {again_wide} (wide)"),
-    ("docs/explanation/learning.md", "{handover_wide} of 300, and in {handover_mild} of 300 under"),
+    ("docs/explanation/learnable-tasks.md", "{handover_wide} of 300, and in {handover_mild} of 300 under"),
 ]
 for row, label, name in (
     ("| `learned` | SineTracking |", "SineTracking, `learned`", "sine"),

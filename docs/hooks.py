@@ -1,4 +1,4 @@
-"""Pages and tables that MkDocs generates from the code: command line, cell file, errors, robots, list of decisions."""
+"""Pages, tables and navigation that MkDocs generates: command line, cell file, errors, robots, list of decisions."""
 
 from __future__ import annotations
 
@@ -156,6 +156,13 @@ def pages(folder: Path) -> dict[str, Callable[[], str]]:
         "reference/errors.md": errors,
         "decisions/index.md": lambda: decisions(folder / "decisions"),
     }
+
+
+def on_config(config: Any) -> Any:
+    """Add the decision records to the navigation, which then shows them beside each other."""
+    records = sorted(path.name for path in (Path(config["docs_dir"]) / "decisions").glob("*.md"))
+    config["nav"].append({"Decisions": ["decisions/index.md", *(f"decisions/{name}" for name in records)]})
+    return config
 
 
 def on_files(files: Files, config: Any) -> Files:

@@ -12,6 +12,7 @@ ROOT = Path(__file__).parents[1]
 CARDS = "dual_ur10/policies/learned/learned_policies"
 README = "README.md"
 BENCHMARKS = "docs/reference/benchmarks.md"
+BENCHMARKS_METHOD = "docs/reference/benchmarks-method.md"
 TRUE_ERRORS = "docs/decisions/true-errors-count.md"
 CALIBRATE = "docs/how-to/calibrate-the-bases.md"
 TRAIN = "docs/tutorials/train.md"
@@ -26,15 +27,16 @@ SOURCES = [
     (BENCHMARKS, r"^\| noisy \| (?P<handed>\d+ of \d+) \|[^|]*\| (?P<handed_s>\S+) /"),
     (TRUE_ERRORS, r"^\| wide \| (?P<wide_script>\d+ of \d+) \|"),
     (TRUE_ERRORS, r"^\| wide, bases and age as in mild \| \*\*(?P<wide_known>\d+ of \d+)\*\*"),
-    (BENCHMARKS, r'^SineTracking, "wide", default path: (?P<wide_learned>\d+ and \d+) of 300'),
+    (BENCHMARKS, r'^- SineTracking, "wide", default path: (?P<wide_learned>\d+ and \d+) of 300'),
     (
         BENCHMARKS,
-        r"^PPO from scratch, SineTracking \([^)]*\): success in (?P<ppo_sine>\d+ of \d+) episodes with each, "
+        r"^- PPO from scratch, SineTracking \([^)]*\): success in (?P<ppo_sine>\d+ of \d+) episodes with each, "
         r"(?P<ppo_return>\d+ %) of the return, (?P<ppo_minutes>\S+ to \S+) minutes",
     ),
     (
         BENCHMARKS,
-        r"^PPO from scratch, Handover \([^)]*\): lifted in (?P<lifted0>\d+), (?P<lifted1>\d+) and (?P<lifted2>\d+) %, "
+        r"^- PPO from scratch, Handover \([^)]*\): "
+        r"lifted in (?P<lifted0>\d+), (?P<lifted1>\d+) and (?P<lifted2>\d+) %, "
         r"handed over in (?P<handed0>\d+), (?P<handed1>\d+) and (?P<handed2>\d+) %, "
         r"placed in (?P<placed0>\d+), (?P<placed1>\d+) and (?P<placed2>\d+) %, "
         r"[\s\S]*? success in (?P<ppo_handover>\d+, \d+ and \d+ of \d+)\. "
@@ -42,15 +44,15 @@ SOURCES = [
     ),
     (
         BENCHMARKS,
-        r"^PPO from scratch, SyncCarry \([^:]*\): success in (?P<ppo_carry>\d+ of \d+) with each [^;]*; "
+        r"^- PPO from scratch, SyncCarry \([^:]*\): success in (?P<ppo_carry>\d+ of \d+) with each [^;]*; "
         r"(?P<carry0>\d+), (?P<carry1>\d+) and (?P<carry2>\d+) minutes",
     ),
     (
         BENCHMARKS,
-        r"^Stock Stable-Baselines3, SineTracking, the README's [\s\S]*? success in (?P<stock>100) of 100 episodes, .* "
+        r"^- Stock Stable-Baselines3, SineTracking, the README's [\s\S]*? success in (?P<stock>100) of 100 episodes, .* "
         r"flange error (?P<stock_mm>\S+) mm, after (?P<stock_steps>\S+) steps and (?P<stock_minutes>\S+) minutes",
     ),
-    (BENCHMARKS, r"^Twenty demonstrations, .*: (?P<twenty>\d+ of \d+) .* in (?P<twenty_minutes>\S+) minutes"),
+    (BENCHMARKS, r"^- Twenty demonstrations, .*: (?P<twenty>\d+ of \d+) .* in (?P<twenty_minutes>\S+) minutes"),
     (
         BENCHMARKS,
         r"^\| a stop of one arm .* \| (?P<stop>\d+) cycles in all 200; .* \| p99 \d, (?P<stop_busy>at most \d);",
@@ -106,7 +108,7 @@ def measured() -> dict[str, str]:
     """
     facts: dict[str, str] = {}
     for source, pattern in SOURCES:
-        found = re.search(pattern.replace(" ", r"\s"), (ROOT / source).read_text(), re.MULTILINE)
+        found = re.search(pattern.replace(" ", r"\s+"), (ROOT / source).read_text(), re.MULTILINE)
         if found is None:
             raise LookupError(f"{source} states nothing of this form; adapt it, or remove its sentences: {pattern}")
         facts |= {name: " ".join(each.split()) for name, each in found.groupdict().items()}
@@ -266,7 +268,7 @@ STATEMENTS = [
     *((TRAIN, f"| {{carry{seed}}} min |") for seed in range(3)),
     (TRAIN, "| {twenty} | {twenty_minutes} |"),
     (TRAIN, "succeeds in {again_mild} (mild), {again_nominal} (nominal) and {again_wide} (wide) of 300 episodes"),
-    (BENCHMARKS, "gave {again_mild} (mild), {again_nominal} (nominal) and {again_wide} (wide)"),
+    (BENCHMARKS_METHOD, "gave {again_mild} (mild), {again_nominal} (nominal) and {again_wide} (wide)"),
     ("docs/explanation/learnable-tasks.md", "{handover_wide} of 300, and in {handover_mild} of 300 under"),
 ]
 for row, label, name in (
@@ -294,5 +296,5 @@ STATEMENTS += [
     (BENCHMARKS, "| Handover, `learned` | mild | {handover_mild} of 300 | {handover_mild_ci} | | {handover_min} min |"),
     (BENCHMARKS, "| | nominal, pose known | {handover_nominal} of 300 | {handover_nominal_ci} | | |"),
     (BENCHMARKS, "| | wide | {carry_wide} of 300 | {carry_wide_ci} | | | | Handover"),
-    (BENCHMARKS, "| | wide | {handover_wide} of 300 | {handover_wide_ci} | | | SineTracking"),
+    (BENCHMARKS, "| | wide | {handover_wide} of 300 | {handover_wide_ci} | | | - SineTracking"),
 ]

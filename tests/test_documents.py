@@ -43,7 +43,7 @@ def blocks(path, language):
 
 def rows():
     """Return the number and the last column of each row of the fault table."""
-    text = (DOCS / "explanation" / "safety.md").read_text()
+    text = (DOCS / "reference" / "faults.md").read_text()
     return [(int(row), shown) for row, shown in re.findall(r"^\| (\d+) \|.*\| ([^|]*) \|$", text, re.MULTILINE)]
 
 
@@ -124,6 +124,34 @@ def test_lists_and_tables_do_not_run_into_a_paragraph(path):
     assert broken_lists(path.read_text()) == []
 
 
+def prose(path):
+    """Return the text of a page without its code blocks and the addresses of its links."""
+    text = re.sub(r"^ *```.*?^ *```", "", path.read_text(), flags=re.M | re.S)
+    return re.sub(r"\]\([^)]*\)", "]", text)
+
+
+def words(text):
+    return len(re.findall(r"\w[\w.,'/-]*", text))
+
+
+TO_READ = sorted([*DOCS.glob("tutorials/*.md"), *DOCS.glob("explanation/*.md"), *DOCS.glob("how-to/*.md")])
+
+
+@pytest.mark.parametrize("path", TO_READ, ids=page_id)
+def test_pages_can_be_read(path):
+    """At most 2,000 words a page; a how-to may have more, because nobody reads it as a whole. A heading every 650."""
+    text = prose(path)
+    if path.parent.name != "how-to":
+        assert words(text) <= 2000
+    sections = re.split(r"^#+ .*$", re.sub(r"^ *\|.*$", "", text, flags=re.MULTILINE), flags=re.MULTILINE)
+    assert max(map(words, sections)) <= 650
+
+
+@pytest.mark.parametrize("path", PAGES, ids=page_id)
+def test_pictures_have_a_text(path):
+    assert re.findall(r"!\[\W*\]|<(?:img|video)(?![^>]*(?:alt|aria-label)=)[^>]*>", path.read_text()) == []
+
+
 @pytest.mark.parametrize("name", sorted(GENERATED))
 def test_generated_lists_and_tables_do_not_run_into_a_paragraph(name):
     pytest.importorskip("mkdocs")
@@ -140,6 +168,16 @@ def test_only_short_keys_of_tables_stay_in_one_line():
     assert marked == row.format(short).replace("<code>", '<code class="key">') + row.format(long)
     rules = re.findall(r"^([^{]*){[^}]*nowrap", (DOCS / "assets" / "extra.css").read_text(), re.MULTILINE)
     assert [each.split()[-1] for each in rules] == ["code.key"]
+
+
+def test_code_wraps_and_drawings_do_not():
+    """A line that ends behind the edge of the page would not be read; a drawing that wraps is none."""
+    style = (DOCS / "assets" / "extra.css").read_text()
+    assert re.search(r"^\.md-typeset pre > code {[^}]*white-space: pre-wrap", style, re.MULTILINE)
+    assert re.search(r"^\.md-typeset \.drawing pre > code {[^}]*white-space: pre;", style, re.MULTILINE)
+    for path in PAGES:
+        for head, code in re.findall(r"^ *```(.*)\n(.*?)^ *```", path.read_text(), re.M | re.S):
+            assert not re.search("[─▶│]", code) or ".drawing" in head, path
 
 
 def test_pages_state_the_facts_of_their_sources():

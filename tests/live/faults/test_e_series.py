@@ -1,4 +1,4 @@
-"""Two e-Series controllers: row 29 of the table of faults in `docs/explanation/safety.md`."""
+"""Two e-Series controllers: row 29 of the table of faults in `docs/reference/faults.md`."""
 
 import pytest
 

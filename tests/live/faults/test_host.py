@@ -1,4 +1,4 @@
-"""Faults of this machine and its processes: rows 11, 54, 56 and 57 of the fault table in docs/explanation/safety.md."""
+"""Faults of this machine and its processes: rows 11, 54, 56 and 57 of the fault table in docs/reference/faults.md."""
 
 import contextlib
 import math

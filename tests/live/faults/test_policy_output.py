@@ -1,4 +1,4 @@
-"""Policies that end their process: row 11 of the table of faults in `docs/explanation/safety.md`."""
+"""Policies that end their process: row 11 of the table of faults in `docs/reference/faults.md`."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Records that cannot be written: row 59 of docs/explanation/safety.md."""
+"""Records that cannot be written: row 59 of docs/reference/faults.md."""
 
 import resource
 

@@ -1,4 +1,4 @@
-"""Stop of one arm by its controller or another program: rows 29 and 63 of `docs/explanation/safety.md`."""
+"""Stop of one arm by its controller or another program: rows 29 and 63 of `docs/reference/faults.md`."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Second program on a cell: row 58 of docs/explanation/safety.md."""
+"""Second program on a cell: row 58 of docs/reference/faults.md."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""Row 53 of the table of faults in `docs/explanation/safety.md`: no behaviour depends on the time of day."""
+"""Row 53 of the table of faults in `docs/reference/faults.md`: no behaviour depends on the time of day."""
 
 import ast
 import inspect

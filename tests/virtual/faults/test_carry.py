@@ -1,4 +1,4 @@
-"""Two arms that hold one object: rows 34, 50 and 52 of the table of faults in `docs/explanation/safety.md`."""
+"""Two arms that hold one object: rows 34, 50 and 52 of the table of faults in `docs/reference/faults.md`."""
 
 import numpy as np
 import pytest

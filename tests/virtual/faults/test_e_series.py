@@ -1,4 +1,4 @@
-"""Two e-Series controllers: rows 25, 26, 29, 36 and 39 of the table in `docs/explanation/safety.md`."""
+"""Two e-Series controllers: rows 25, 26, 29, 36 and 39 of the table in `docs/reference/faults.md`."""
 
 import pytest
 

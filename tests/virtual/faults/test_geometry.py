@@ -1,4 +1,4 @@
-"""Forbidden configurations: rows 48 to 52 of the table of faults in `docs/explanation/safety.md`."""
+"""Forbidden configurations: rows 48 to 52 of the table of faults in `docs/reference/faults.md`."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Faults of this machine and its processes: rows 54 to 57 and 59 of the fault table in docs/explanation/safety.md."""
+"""Faults of this machine and its processes: rows 54 to 57 and 59 of the fault table in docs/reference/faults.md."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""Faults of the network: rows 17 to 27 of the fault table in docs/explanation/safety.md."""
+"""Faults of the network: rows 17 to 27 of the fault table in docs/reference/faults.md."""
 
 import contextlib
 

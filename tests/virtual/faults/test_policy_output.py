@@ -1,4 +1,4 @@
-"""Faults of a policy: rows 1 to 16 of the table of faults in `docs/explanation/safety.md`."""
+"""Faults of a policy: rows 1 to 16 of the table of faults in `docs/reference/faults.md`."""
 
 import gymnasium as gym
 import numpy as np

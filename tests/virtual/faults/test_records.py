@@ -1,4 +1,4 @@
-"""Records that cannot be written or must not be replayed: rows 59 and 60 of docs/explanation/safety.md."""
+"""Records that cannot be written or must not be replayed: rows 59 and 60 of docs/reference/faults.md."""
 
 import dataclasses
 import os

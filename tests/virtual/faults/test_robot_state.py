@@ -1,4 +1,4 @@
-"""Faults of a moving robot: rows 29 to 43 of the table of faults in `docs/explanation/safety.md`."""
+"""Faults of a moving robot: rows 29 to 43 of the table of faults in `docs/reference/faults.md`."""
 
 import contextlib
 import logging

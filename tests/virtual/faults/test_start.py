@@ -1,4 +1,4 @@
-"""Arms in a wrong state at the start: rows 26 to 47 and 58 of docs/explanation/safety.md."""
+"""Arms in a wrong state at the start: rows 26 to 47 and 58 of docs/reference/faults.md."""
 
 import os
 import subprocess

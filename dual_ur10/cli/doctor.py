@@ -78,17 +78,19 @@ def _row(each: Finding) -> dict[str, str]:
 
 
 def _print(findings: Sequence[Finding]) -> None:
-    table = Table(header_style="bold")
-    for header in ("arm", "check", "", "found", "expected", "remedy"):
-        table.add_column(header, overflow="fold")
-    arm = findings[0].arm
-    for each in findings:
-        if each.arm != arm:
-            table.add_section()
-            arm = each.arm
-        texts = map(escape, (each.found, each.expected, each.remedy))
-        table.add_row(each.arm, escape(each.name), _MARKS[each.level], *texts)
-    print_whole(table)
+    """Print the problems, worst first, with their remedies, and then what is in order in a line each."""
+    problems = sorted((each for each in findings if each.level != "ok"), key=lambda each: each.level)  # fail, warn
+    in_order = [each for each in findings if each.level == "ok"]
+    for rows, texts in ((problems, ("found", "expected", "remedy")), (in_order, ("found",))):
+        if not rows:
+            continue
+        table = Table(header_style="bold")
+        for header in ("arm", "check", "", *texts):
+            table.add_column(header, overflow="fold")
+        for each in rows:
+            cells = (escape(getattr(each, text)) for text in texts)
+            table.add_row(each.arm, escape(each.name), _MARKS[each.level], *cells)
+        print_whole(table)
     counts = {level: sum(each.level == level for each in findings) for level in _MARKS}
     console.print(f"{counts['ok']} ok, {counts['warn']} warnings, {counts['fail']} failed", highlight=False)
 

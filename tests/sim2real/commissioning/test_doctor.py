@@ -507,6 +507,15 @@ def test_the_command_prints_and_fails_if_something_does(cb3):
 
 
 @pytest.mark.usefixtures("virtual_doctor")
+def test_problems_come_first(cb3):
+    cb3.ask("override", arm="left", safety_mode=3)
+    _, text = run("--left", cb3.left, "--right", cb3.right)
+    levels = [line.split("│")[3].strip() for line in text.splitlines() if line.startswith("│")]
+    assert {*levels} == {"fail", "warn", "ok"}
+    assert levels == sorted(levels, key=("fail", "warn", "ok").index)
+
+
+@pytest.mark.usefixtures("virtual_doctor")
 def test_warnings_do_not_fail_the_command(cb3):
     code, text = run("--left", cb3.left, "--right", cb3.right)
     assert code == 0, text

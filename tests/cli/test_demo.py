@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib.util
 import os
 import re
 import sys
@@ -361,11 +362,13 @@ def test_a_failed_emulated_run_is_a_warning_and_no_error(monkeypatch: pytest.Mon
 
 
 @pytest.mark.parametrize("package", ["matplotlib", "imageio"])
-def test_a_missing_extra_is_named_before_anything_runs(
-    package: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("extras", ["plot", "plot,real"])
+def test_all_missing_extras_are_named_before_anything_runs(
+    package: str, extras: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(MissingExtraError, match=rf'{package}: pip install "dual-ur10\[plot\]"'):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if extras == "plot,real" else name)
+    with pytest.raises(MissingExtraError, match=rf'{package}: pip install "dual-ur10\[{extras}\]"'):
         run.run_demo(tmp_path / "out")
     assert not (tmp_path / "out").exists()
 

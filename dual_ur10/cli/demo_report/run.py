@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -177,4 +178,5 @@ def check_extra() -> None:
         try:
             __import__(package)
         except ImportError:
-            raise MissingExtraError(package.replace("_", "-"), "plot", "the demonstration's report") from None
+            extras = "plot" if importlib.util.find_spec("rtde_control") else "plot,real"  # one request for all
+            raise MissingExtraError(package.replace("_", "-"), extras, "the demonstration's report") from None

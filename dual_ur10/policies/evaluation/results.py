@@ -284,8 +284,12 @@ class Evaluation:
             table.add_section()
             table.add_row("[dim]peaks of the episodes[/]", "[dim]largest · median · median at the end[/]")
         for name, spread in self.spreads.items():
+            quantity, unit, factor = _for_persons(name)
+            if unit == "s":  # the task's clock is no error
+                continue
             values = (spread.largest, spread.median, spread.last)
-            table.add_row(escape(name), " · ".join(_number(each) for each in values))
+            numbers = " · ".join(_number(None if each is None else factor * each) for each in values)
+            table.add_row(f"{escape(quantity)}, {unit}", numbers)
         return table
 
     def to_json(self, path: str | Path) -> None:
@@ -350,6 +354,24 @@ def _percent(ratio: float) -> str:
 
 def _seconds(time_s: float | None) -> str:
     return "—" if time_s is None else f"{time_s:.2f} s"
+
+
+_UNITS = {
+    "_rad_s": ("°/s", math.degrees(1.0)),
+    "_m_s": ("mm/s", 1e3),
+    "_rad": ("°", math.degrees(1.0)),
+    "_m": ("mm", 1e3),
+    "_n": ("N", 1.0),
+    "_s": ("s", 1.0),
+}
+"""Units in which persons read the numbers of `info`, and the factors to them, by the suffixes of their names."""
+
+
+def _for_persons(name: str) -> tuple[str, str, float]:
+    """Return a number's quantity, and the unit and factor by which a person reads it: `slip_m/left` in mm."""
+    quantity, slash, arm = name.partition("/")
+    suffix = next(each for each in _UNITS if quantity.endswith(each))
+    return quantity.removesuffix(suffix) + slash + arm, *_UNITS[suffix]
 
 
 def _number(value: float | None) -> str:

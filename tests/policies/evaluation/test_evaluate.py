@@ -560,8 +560,8 @@ def test_the_table_has_every_figure() -> None:
         "reached: handed over",
         "2.00 s",
         "seed 1: too close",
-        "force_n",
-        "gap_m/left",
+        "force, N",
+        "gap/left, mm",
     ):
         assert words in text
     assert re.search(r"cut short\s*│\s*4 ", text)

@@ -316,10 +316,34 @@ def test_python_blocks_run(path, workplace):
 SHELL = [path for path in PAGES if any(blocks(path, "(?:sh|yaml)"))]
 
 
+def parse(arguments):
+    """Parse arguments of the command line, down to the command, each level with its options."""
+    here, context = typer.main.get_command(app), None
+    while arguments:
+        context = here.make_context(here.name or "dual-ur10", list(arguments), parent=context)
+        if not hasattr(here, "resolve_command"):
+            break
+        arguments = [*context._protected_args, *context.args]
+        _, here, arguments = here.resolve_command(context, arguments)
+        arguments = arguments or [""]
+        if arguments == [""]:
+            here.make_context(here.name, [], parent=context)
+            break
+
+
+def test_every_command_has_an_example_that_parses(workplace, monkeypatch):
+    monkeypatch.chdir(workplace)
+    for name, command in commands():
+        example = command.epilog or ""
+        assert re.match(rf"Example: dual-ur10 (cell )?{name}\b", example), name
+        parse(shlex.split(example)[2:])
+    emulator = typer.main.get_command(ur_emulator.cli.app)
+    emulator.make_context("ur-emulator", shlex.split(emulator.epilog)[2:])
+
+
 @pytest.mark.parametrize("path", SHELL, ids=page_id)
 def test_commands_parse(path, workplace, monkeypatch):
     monkeypatch.chdir(workplace)
-    command = typer.main.get_command(app)
     targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
     for line in "\n".join(blocks(path, "(?:sh|yaml)")).splitlines():
         words = shlex.split(line.removeprefix("        run: ").removeprefix("  run: ").strip(), comments=True)
@@ -328,18 +352,7 @@ def test_commands_parse(path, workplace, monkeypatch):
         if words[:1] == ["ur-emulator"]:
             typer.main.get_command(ur_emulator.cli.app).make_context("ur-emulator", words[1:])
         if words[:3] == ["python", "-m", "dual_ur10"] or words[:1] == ["dual-ur10"]:
-            arguments, here = words[3 if words[0] == "python" else 1 :], command
-            context = None
-            while arguments:  # down to the command, each level with its options
-                context = here.make_context(here.name or "dual-ur10", list(arguments), parent=context)
-                if not hasattr(here, "resolve_command"):
-                    break
-                arguments = [*context._protected_args, *context.args]
-                _, here, arguments = here.resolve_command(context, arguments)
-                arguments = arguments or [""]
-                if arguments == [""]:
-                    here.make_context(here.name, [], parent=context)
-                    break
+            parse(words[3 if words[0] == "python" else 1 :])
 
 
 def _code():
@@ -374,13 +387,21 @@ def test_quoted_texts_are_those_of_the_code(name):
     assert {piece for piece in pieces if " " in piece and not _is_said(piece, texts)} == set()
 
 
-def options():
-    """Yield the commands of the command line with their options by name."""
+def commands():
+    """Yield the names of all commands with the commands, without groups of them."""
     pending = [typer.main.get_command(app)]
     while pending:
         command = pending.pop()
-        pending += getattr(command, "commands", {}).values()
-        yield command.name, {name: each for each in command.params for name in each.opts}
+        within = getattr(command, "commands", {})
+        pending += within.values()
+        if not within:
+            yield command.name, command
+
+
+def options():
+    """Yield the commands of the command line with their options by name."""
+    for name, command in commands():
+        yield name, {each: param for param in command.params for each in param.opts}
 
 
 def test_only_commands_with_an_environment_speak_of_episodes():

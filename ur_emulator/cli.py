@@ -68,7 +68,7 @@ app = typer.Typer(
 )
 
 
-@app.command(cls=_Command)
+@app.command(cls=_Command, epilog="Example: ur-emulator --robot ur5e")
 def emulate(
     robot: Annotated[
         list[str] | None,

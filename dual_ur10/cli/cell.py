@@ -12,7 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from dual_ur10.cli.calibrate import calibrate
-from dual_ur10.cli.options import ArmFamily, ArmModel, Left, Right, console, errors, family_of
+from dual_ur10.cli.options import ArmFamily, ArmModel, Left, Right, console, errors, example_of, family_of
 from dual_ur10.errors import CellFileError, SettingsError, UnknownNameError
 from dual_ur10.ids import env_id_of
 
@@ -24,7 +24,7 @@ app = typer.Typer(help="Create, check, show and calibrate cell files, and clear 
 File = Annotated[Path, typer.Argument(metavar="FILE", help="A cell file, such as lab.toml.")]
 
 
-@app.command()
+@app.command(epilog=example_of("cell new lab.toml --left 192.168.1.10 --right 192.168.1.11"))
 def new(
     file: File,
     kind: Annotated[str, typer.Option("--kind", help="real or emulated.")] = "real",
@@ -53,7 +53,7 @@ def new(
         )
 
 
-@app.command()
+@app.command(epilog=example_of("cell check lab.toml"))
 def check(file: File) -> None:
     """Report all errors of a cell file, a line each. Connects to nothing."""
     from dual_ur10.sim2real.config.cell_file import examine
@@ -73,7 +73,7 @@ def check(file: File) -> None:
     console.print(f"{escape(str(file))} is a legal {cell.kind} cell", highlight=False, soft_wrap=True)
 
 
-@app.command()
+@app.command(epilog=example_of("cell show lab.toml"))
 def show(file: File) -> None:
     """Show all values of a cell file, defaults included."""
     from dual_ur10.sim2real.config.cell_file import load_cell_file
@@ -96,7 +96,7 @@ def show(file: File) -> None:
     console.print(arms)
 
 
-@app.command()
+@app.command(epilog=example_of("cell clear lab.toml"))
 def clear(
     file: File,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask. Only for emulated cells.")] = False,
@@ -150,4 +150,4 @@ def _short(value: Any) -> Any:
     return float(f"{value:.9g}") if isinstance(value, float) else value
 
 
-app.command()(calibrate)
+app.command(epilog=example_of("cell calibrate lab.toml --data bases.json --suggest"))(calibrate)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Callable
 from typing import Annotated, Any
 
 import gymnasium as gym
@@ -16,7 +18,7 @@ from dual_ur10.cli.evaluate import evaluate
 from dual_ur10.cli.follow import follow, follow_points, follow_serial
 from dual_ur10.cli.list import list_environments
 from dual_ur10.cli.new_task import new_task
-from dual_ur10.cli.options import console, errors
+from dual_ur10.cli.options import console, errors, example_of
 from dual_ur10.cli.records import compare, fit, replay
 from dual_ur10.cli.rollout import rollout
 from dual_ur10.cli.status import status
@@ -26,6 +28,7 @@ from dual_ur10.cli.view import view
 from dual_ur10.errors import DualUR10Error
 from dual_ur10.ids import __version__
 from dual_ur10.sim2real.processes.interrupts import begin_program, end_interrupted
+from dual_ur10.sim2real.recording import run_folder
 
 USAGE_ERROR = 2
 """Exit code of every error of this package."""
@@ -44,11 +47,20 @@ class _Commands(typer.core.TyperGroup):
             end_interrupted()
 
 
+class _Shown(logging.Handler):
+    """Prints where a run is recorded, for whichever command records it."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        console.print(record.getMessage(), highlight=False, soft_wrap=True, markup=False)
+
+
+_RECORDING = logging.getLogger(run_folder.__name__)
+_SHOWN = _Shown()
+
 app = typer.Typer(
     cls=_Commands,
     help="Two UR arms in MuJoCo, or on two controllers: run, measure, train and watch policies.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,  # any other error is a bug: show its traceback
     rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -63,30 +75,46 @@ def _options(
     if version:
         console.print(__version__, highlight=False)
         raise typer.Exit
+    _RECORDING.addHandler(_SHOWN)
+    _RECORDING.setLevel(logging.INFO)
 
 
-app.command("list")(list_environments)
-_COMMANDS = (
-    *(
-        demo,
-        rollout,
-        follow,
-        follow_points,
-        follow_serial,
-        teach,
-        repeatability,
-        view,
-        evaluate,
-        train,
-        collect,
-        new_task,
-        convert,
-    ),
-    *(emulate, doctor, status, replay, compare, fit),
-)
-for command in _COMMANDS:
-    app.command()(command)
-app.add_typer(cell.app, name="cell")
+_COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
+    "Simulate": {
+        "list": list_environments,
+        "demo --quick": demo,
+        "view Handover --policy learned": view,
+        "rollout Handover --episodes 3 --set randomization=mild": rollout,
+        "evaluate SineTracking --policy learned --randomization mild --json sine.json": evaluate,
+        "new-task PegInsertion": new_task,
+    },
+    "Learn": {
+        "train SineTracking --algo ppo --out sine": train,
+        "collect SyncCarry --episodes 200 --randomization mild": collect,
+        "convert model.zip SineTracking --out sine --trust-pickle": convert,
+    },
+    "Controllers, emulated or real": {
+        "emulate --cell cell.toml --view": emulate,
+        "doctor cell.toml": doctor,
+        "status cell.toml": status,
+        "follow --to home --cell cell.toml": follow,
+        "follow-points points.csv --cell cell.toml --rate 10": follow_points,
+        "follow-serial points.csv --port /dev/ttyACM0 --at-start": follow_serial,
+        "teach points.csv --cell cell.toml": teach,
+        "repeatability --paths 5 --perturbed": repeatability,
+    },
+    "Records": {
+        "replay runs/RUN": replay,
+        "compare runs/RUN_A runs/RUN_B": compare,
+        "fit runs/RUN --write cell.toml": fit,
+    },
+}
+"""Commands by the panel of the help that lists them, each with an example."""
+
+for panel, commands in _COMMANDS.items():
+    for example, command in commands.items():
+        app.command(example.split()[0], rich_help_panel=panel, epilog=example_of(example))(command)
+app.add_typer(cell.app, name="cell", rich_help_panel="Controllers, emulated or real")
 
 
 def main() -> None:

@@ -50,7 +50,7 @@ Settings = Annotated[
 Perturbed = Annotated[bool, typer.Option("--perturbed", help="A plant that differs from the nominal model.")]
 Randomization = Annotated[
     str | None,
-    typer.Option("--randomization", metavar="PRESET", help="Randomization from episode to episode, such as mild."),
+    typer.Option("--randomization", metavar="PRESET", help="Randomization of each episode: none, mild or wide."),
 ]
 CellFileName = Annotated[
     Path | None,
@@ -91,6 +91,11 @@ ArmModel = Annotated[
     str | None,
     typer.Option("--robot", help="Model of both arms, such as ur5e. Default: ur10, or ur10e of the e-Series."),
 ]
+
+
+def example_of(arguments: str) -> str:
+    """Return the last line of a command's help."""
+    return f"Example: dual-ur10 {arguments}"
 
 
 def keywords_of(

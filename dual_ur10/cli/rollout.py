@@ -66,9 +66,6 @@ def rollout(
         record_in(keywords, record, provenance(policy, env_id_of(env)))
     made, actor = make(env, policy, keywords, seed)
     table = Table(header_style="bold")
-    for header in ("episode", "seed", "steps", "return", "success", "RMS error\n[dim]mm[/]", "largest\n[dim]mm[/]"):
-        table.add_column(header, justify="center" if header == "success" else "right")
-    table.add_column("ended by")
     returns, successes = [], 0
     late = 0
     try:
@@ -80,6 +77,8 @@ def rollout(
                 found = run_episode(made, actor, seed=seed + episode)
                 returns.append(float(found.reward.sum()))
                 successes += found.success
+                if episode == 0:
+                    _add_columns(table, found)
                 table.add_row(str(episode), str(seed + episode), *_row(found))
                 late = made.unwrapped.core.late_actions
     except KeyboardInterrupt:
@@ -104,9 +103,17 @@ def rollout(
     conclude(successes, episodes, late, min_success)
 
 
+def _add_columns(table: Table, found: EpisodeRecord) -> None:
+    """Add the columns of a task: with errors of the flanges, if it has them."""
+    errors_mm = () if found.flange_error_m is None else ("RMS error\n[dim]mm[/]", "largest\n[dim]mm[/]")
+    for header in ("episode", "seed", "steps", "return", "success", *errors_mm):
+        table.add_column(header, justify="center" if header == "success" else "right")
+    table.add_column("ended by")
+
+
 def _row(found: EpisodeRecord) -> tuple[str, ...]:
     """Return the cells of an episode's row from its number of steps on."""
-    figures = ["—", "—"]
+    figures: list[str] = []
     if found.flange_error_m is not None:
         squares = (found.flange_error_m**2).mean(axis=0)
         figures = [f"{1e3 * np.sqrt(squares.max()):.4f}", f"{1e3 * found.flange_error_m.max():.4f}"]

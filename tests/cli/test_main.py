@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import urllib.request
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -74,6 +75,14 @@ def test_rollout_prints_a_row_per_episode_and_a_summary(name: str) -> None:
     assert [[cell.strip() for cell in row[:3]] for row in rows] == [["0", "4", "10"], ["1", "5", "10"]]
     assert all(row[4].strip() == "yes" and float(row[5]) < 0.1 for row in rows)
     assert "success 2 of 2" in text
+    (recorded,) = Path("runs").iterdir()
+    assert text.splitlines()[0] == f"recording in {recorded}"
+
+
+def test_a_task_without_flange_errors_has_no_columns_of_them() -> None:
+    _, text = run("rollout", "Handover", "-n", "1", "--policy", "zero", "--no-record", "--set", "duration_s=1.0")
+    assert "recording" not in text
+    assert "mm" not in text
 
 
 def test_set_reaches_the_environment_and_perturbed_the_plant() -> None:
@@ -139,7 +148,7 @@ def test_random_actions_differ_between_episodes() -> None:
 
 
 def test_random_actions_depend_on_the_seed_alone() -> None:
-    arguments = ("rollout", "SineTracking", "-p", "random", "-n", "1", *SHORT, "--seed")
+    arguments = ("rollout", "SineTracking", "-p", "random", "-n", "1", "--no-record", *SHORT, "--seed")
     assert run(*arguments, "3") == run(*arguments, "3")
     assert run(*arguments, "3") != run(*arguments, "4")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import re
 import shutil
@@ -12,6 +13,8 @@ from typing import Final
 
 from dual_ur10.errors import RecordingError
 from dual_ur10.sim2real.recording.run import Event, Header
+
+_LOG: Final = logging.getLogger(__name__)
 
 RUN_FILE: Final = "run.mcap"
 LOG_FILE: Final = "run.log"
@@ -84,6 +87,7 @@ def new_folder(root: Path, header: Header, *, least_free_bytes: int = LEAST_FREE
             folder = root / (name if number == 1 else f"{name}-{number}")
             with contextlib.suppress(FileExistsError):
                 folder.mkdir()
+                _LOG.info("recording in %s", folder)
                 return folder
     except OSError as error:
         raise RecordingError(f"cannot make a folder for the run in {root}: {error}") from error

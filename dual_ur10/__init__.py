@@ -30,3 +30,8 @@ __all__ = [
     "ServojProfile",
     "__version__",
 ]
+
+
+def __dir__() -> list[str]:
+    # The public names, and the parts of the package that were imported.
+    return sorted({*__all__, *({"envs", "errors", "policies", "tasks", "testing"} & globals().keys())})

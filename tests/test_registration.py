@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -10,15 +11,18 @@ from typing import Any, ClassVar
 import gymnasium as gym
 import pytest
 
-from dual_ur10 import ids, policies
+import dual_ur10
+from dual_ur10 import envs, ids, policies
 from dual_ur10.envs import dm_env, parallel_env
 from dual_ur10.envs.core.setup import load_task
 from dual_ur10.envs.tasks.sine_tracking.task import SineTracking
 from dual_ur10.errors import CheckpointError, SettingsError, UnknownNameError
 from dual_ur10.ids import TASKS, env_id_of
 from dual_ur10.policies import evaluate
+from dual_ur10.policies.baselines import ZeroPolicy
 from dual_ur10.policies.learned import checkpoint
 from dual_ur10.policies.learned.signature import view_of_env
+from dual_ur10.policies.policy import as_policy
 from dual_ur10.policies.scripted.sine_tracking import SineTrackingPolicy
 from dual_ur10.policies.training.settings import Imitation, Reinforcement, TaskSettings, defaults, task_settings
 from dual_ur10.registration import register as register_task
@@ -170,6 +174,7 @@ def test_what_is_registered_is_checked_when_it_is_needed(register):
 
 PACKAGE = """
 from dual_ur10.envs.tasks.sine_tracking.task import SineTracking
+from dual_ur10.policies.policy import as_policy
 from dual_ur10.policies.scripted.sine_tracking import SineTrackingPolicy
 from dual_ur10.registration import register
 
@@ -265,3 +270,28 @@ def test_an_unknown_name_comes_with_the_nearest_one(both):
         env_id_of("Rech-v1")
     with pytest.raises(UnknownNameError, match="unknown environment 'Juggling': use one of"):
         env_id_of("Juggling")
+
+
+@pytest.mark.parametrize("module", [dual_ur10, policies, envs])
+def test_dir_shows_public_names(module):
+    shown = dir(module)
+    assert {*module.__all__} <= {*shown}
+    assert {each for each in shown if not hasattr(module, each)} == set()
+    assert {"annotations", "Any", "TYPE_CHECKING", "interrupts", "registration"} & {*shown} == set()
+
+
+def test_objects_say_what_they_are():
+    with gym.make("DualUR10/SineTracking-v0", amplitude_m=0.05) as env:
+        made, core = env.unwrapped, env.unwrapped.core
+        task = "SineTracking(amplitude_m=0.05)"
+        about = f"DualUR10/SineTracking-v0, {task}, joint_delta at 25 Hz, mujoco cell"
+        assert [repr(made), repr(made.task)] == [f"DualArmEnv({about})", task]
+        assert repr(core.task.layout).startswith(
+            f"ObservationLayout({core.task.layout.size} numbers of an arm: q_rad 6, "
+        )
+        zero = ZeroPolicy(env.action_space)
+    scripted = policies.load("scripted", "DualUR10/SineTracking-v0", amplitude_m=0.05)
+    assert repr(scripted) == "SineTrackingPolicy(amplitude_m=0.05, joint_delta at 25 Hz)"
+    assert [repr(zero), repr(as_policy(len))] == ["ZeroPolicy((12,))", "FunctionPolicy(len)"]
+    with contextlib.closing(parallel_env("Handover")) as pair:
+        assert repr(pair) == "DualArmParallelEnv(DualUR10/Handover-v0, Handover(), joint_delta at 25 Hz, mujoco cell)"

@@ -28,6 +28,9 @@ class RandomPolicy:
         self._single, self._seed = rows is None, seed
         self.reset()
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self._spaces[0].shape})"
+
     def reset(self) -> None:
         """Begin the next single episode; of a batch, `begin` seeds each row."""
         if self._single:
@@ -50,6 +53,9 @@ class ZeroPolicy:
 
     def __init__(self, space: Any) -> None:
         self._action = np.zeros(space.shape, space.dtype)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self._action.shape})"
 
     def reset(self) -> None:
         """Do nothing: there is no state."""

@@ -37,6 +37,9 @@ class FunctionPolicy:
         self._function = function
         self.__name__ = str(getattr(function, "__name__", type(function).__name__))  # in results and records
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.__name__})"
+
     def reset(self) -> None:
         """Do nothing: there is no state."""
 

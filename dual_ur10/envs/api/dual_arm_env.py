@@ -73,6 +73,9 @@ class DualArmEnv(gym.Env[Any, Array]):
         # A class attribute in Gymnasium; an environment with another rate gets its own.
         self.metadata = {**type(self).metadata, "render_fps": round(1 / self.core.timing.period_s)}
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.core})"
+
     @property
     def spec(self) -> EnvSpec | None:
         """Spec as of `gym.make`. Its `max_episode_steps` is the horizon of the task with these settings."""

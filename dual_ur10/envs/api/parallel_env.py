@@ -90,6 +90,9 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
         self._begun: dict[str, Any] = {}
         self._step: Step | None = None
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.core})"
+
     @property
     def info(self) -> dict[str, Any]:
         """Info of the last step or reset as `dual_ur10.envs.api.dual_arm_env.DualArmEnv` returns it."""

@@ -196,6 +196,10 @@ class Core:
         self.recorder: RunRecorder | None = None
         self._begin_record(keywords)
 
+    def __str__(self) -> str:
+        rate = f"{self.setup.options.action_mode} at {1.0 / self.timing.period_s:g} Hz"
+        return f"{self.setup.env_id}, {self.task!r}, {rate}, {self.config.kind} cell"
+
     def _action_space(self) -> spaces.Box:
         low, high = self.pipeline.adapter.action_bounds
         return spaces.Box(low.reshape(-1).astype(np.float32), high.reshape(-1).astype(np.float32), dtype=np.float32)

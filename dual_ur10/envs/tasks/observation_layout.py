@@ -67,6 +67,10 @@ class ObservationLayout:
         self.low = constant(np.tile(np.repeat([field.low for field in fields], sizes), 2))
         self.high = constant(np.tile(np.repeat([field.high for field in fields], sizes), 2))
 
+    def __repr__(self) -> str:
+        fields = ", ".join(f"{field.name} {field.size}" for field in self.fields)
+        return f"{type(self).__name__}({self.size} numbers of an arm: {fields})"
+
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the fields in their order."""

@@ -75,6 +75,14 @@ SettingsT = TypeVar("SettingsT")
 MeasuredT = TypeVar("MeasuredT")
 
 
+def changed(settings: Any) -> str:
+    """Return the settings that differ from the default ones, as they would be passed."""
+    default = type(settings)()
+    names = [each.name for each in dataclasses.fields(settings)]
+    texts = [(name, repr(getattr(settings, name)), repr(getattr(default, name))) for name in names]
+    return ", ".join(f"{name}={given}" for name, given, usual in texts if given != usual)
+
+
 class Task(ABC, Generic[SettingsT, MeasuredT]):
     """Task for n cells. Its only input is `CellState`; it keeps the state of the running episodes.
 
@@ -115,6 +123,9 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
         self.limits = cell.capped(type(self).limits)
         self.layout = self.layout_for(settings).with_stroke(max(strokes_m(cell.equipment.tools)))
         self._declared_kg: Array = np.zeros((n, 2))
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({changed(self.settings)})"
 
     @classmethod
     def layout_for(cls, settings: SettingsT) -> ObservationLayout:

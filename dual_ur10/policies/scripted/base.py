@@ -10,7 +10,7 @@ import numpy as np
 
 from dual_ur10.assets.settings import DEFAULT_TOOLS, SceneSettings
 from dual_ur10.assets.tool import Tool, levers_m
-from dual_ur10.envs.tasks.task import Task, Timing
+from dual_ur10.envs.tasks.task import Task, Timing, changed
 from dual_ur10.errors import ActionError, SettingsError
 from dual_ur10.kinematics import nearest
 from dual_ur10.kinematics.frames import ArmMount, Frames
@@ -59,6 +59,10 @@ class ScriptedPolicy:
         self.settings = self.task.settings_type() if settings is None else settings
         self.layout, self._name = self.task.layout_for(self.settings), self.task.__name__  # the name in messages
         self._step_rad = np.tile(self.limits.speed_rad_s, 2) * timing.period_s
+
+    def __repr__(self) -> str:
+        texts = (changed(self.settings), f"{self.action_mode} at {1.0 / self.timing.period_s:g} Hz")
+        return f"{type(self).__name__}({', '.join(filter(None, texts))})"
 
     def batch(self, observation: Array, count: int | None) -> Array:
         """Return observations as a batch.

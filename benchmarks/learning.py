@@ -59,7 +59,7 @@ sys.path.append(str(Path(__file__).parents[1] / "examples"))
 PARTS = ("shipped", "range", "wide", "cell", "from_scratch", "stock", "from_demonstrations")
 STOCK: dict[str, dict[str, Any]] = {
     "snippet": {"algorithm": "PPO"},
-    "stock_ppo": {"algorithm": "PPO", "steps": 500_000, "settings": {}, "cells": 1},
+    "stock_ppo": {"algorithm": "PPO", "steps": 500_000, "settings": {}, "number": 1},
     "stock_sac": {"algorithm": "SAC"},
     "stock_td3": {"algorithm": "TD3"},
 }
@@ -232,8 +232,11 @@ def stock(env_id: str, episodes: int, seeds: int, learners: Iterable[str]) -> di
         for seed in range(seeds):
             print(f"{env_id}, {name}, seed {seed}, load {os.getloadavg()[0]:.1f}", flush=True)
             model, minutes = example.train(seed=seed, **STOCK[name])
-            found = {key: float(each) for key, each in example.measure(model, episodes, 0).items()}
-            found |= {"return_ratio": found["return"] / script, "steps": model.num_timesteps, "minutes": minutes}
+            found = {
+                key: float(each) for key, each in example.measure(STOCK[name]["algorithm"], model, episodes, 0).items()
+            }
+            found |= {"return_ratio": found["return"] / script, "minutes": minutes}
+            found |= {"steps": model.num_timesteps // (1 if STOCK[name]["algorithm"] == "PPO" else 2)}
             print(json.dumps(found), flush=True)
             rows.append(found)
         worst = {"steps": max, "minutes": max, "error_mm": max}

@@ -254,6 +254,38 @@ class PolicyError(DualUR10Error, ValueError):
     """Raised when an object is no policy, or `dual_ur10.testing.check_policy` finds a violation of the contract."""
 
 
+class DeviceError(DualUR10Error, RuntimeError):
+    """Base class of the errors of an input device with which a person leads the arms."""
+
+
+class DeviceAbsentError(DeviceError):
+    """Raised when an input device is not there, or what is there is another one."""
+
+
+class DeviceDeniedError(DeviceError):
+    """Raised when this user may not open an input device; the message holds the udev rule to add."""
+
+
+class DeviceSharedError(DeviceError):
+    """Raised when one input device is named for both arms, or another program reads it."""
+
+
+class DeviceUnpluggedError(DeviceError):
+    """Raised when an input device disappears while it is read."""
+
+
+class DeviceSilentError(DeviceError):
+    """Raised when an input device that must report has not done so for too long. The arms have stopped by then."""
+
+
+class DeviceGarbageError(DeviceError):
+    """Raised when an input device sends what cannot be understood."""
+
+
+class LeaderPostureError(DeviceError):
+    """Raised when the joints of a leader arm are too far from those of the arm that it is to lead."""
+
+
 class CheckpointError(DualUR10Error, ValueError):
     """Raised when a checkpoint cannot be written or read, was altered, or belongs to another environment."""
 

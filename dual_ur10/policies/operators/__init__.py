@@ -1,0 +1,1 @@
+"""Operators: persons who lead both arms with input devices, as policies."""

@@ -66,7 +66,7 @@ def register(
             None: a decorator of the class is returned.
         scripted: Its scripted policy: a class, "module:Class", or "Class" of the module of the task; or one of them for
             each action mode, where that of "" is for every mode without its own. It is made with the arguments
-            `timing`, `action_mode`, `mounts`, `limits`, `settings` and `tools`, or those of them that it
+            `timing`, `action_mode`, `mounts`, `limits`, `settings`, `tools` and `grippers`, or those of them that it
             takes.
         training: Settings of its trainings: a `dual_ur10.policies.training.settings.TaskSettings`, or "module:NAME" of
             one. None: general ones.

@@ -31,7 +31,7 @@ NAMES: Final = ("scripted", *LEARNED_NAMES)
 """Names that `load` accepts. Not every environment has a policy of every name."""
 
 
-_ARGUMENTS: Final = ("timing", "action_mode", "action_scale", "mounts", "limits", "settings", "tools")
+_ARGUMENTS: Final = ("timing", "action_mode", "action_scale", "mounts", "limits", "settings", "tools", "grippers")
 """Arguments of a scripted policy, by which it knows the environment; see `ScriptedPolicy`."""
 
 OTHERS: Final = "the path of a checkpoint or module:Class"
@@ -99,9 +99,9 @@ def load(name: str | os.PathLike[str], env_id: str | None = None, **keywords: An
 
     Args:
         name: One of `NAMES`; the path of a checkpoint's folder; or "package.module:Class", a class of your own. It is
-            made with those of the arguments `timing`, `action_mode`, `action_scale`, `mounts`, `limits`, `settings` and
-            `tools` that it takes; without an environment, with none. Text that contains a "/" or names an existing file
-            is a path.
+            made with those of the arguments `timing`, `action_mode`, `action_scale`, `mounts`, `limits`, `settings`,
+            `tools` and `grippers` that it takes; without an environment, with none. Text that contains a "/" or names
+            an existing file is a path.
         env_id: Id of the environment. None: that of the checkpoint; a name requires an id.
         **keywords: As for `gym.make`. A policy ignores those that concern neither task nor cell. Without `env_id` and
             keywords, the checkpoint's own keywords apply.
@@ -208,6 +208,7 @@ def _arguments(env_id: str, keywords: Mapping[str, Any], names: Collection[str])
         "limits": setup.step_limits,
         "settings": setup.settings,
         "tools": setup.config.equipment.tools,
+        "grippers": setup.config.equipment.grippers and not setup.config.equipment.welded,
     }
     return {name: values[name] for name in names}
 

@@ -28,8 +28,8 @@ BUTTONS: Final = (
     "hand_back",
     "stop",
 )
-"""Names of buttons with a meaning. "switch" passes a device for one hand to the other arm; what runs the episodes acts on
-the others."""
+"""Names of buttons with a meaning. "switch" passes a device for one hand to the other arm; the other ones are for what
+runs the episodes."""
 
 
 def _unset() -> Array:

@@ -16,7 +16,16 @@ from dual_ur10.types import Array, Mask, constant
 FULL_TWIST: Final = constant([TCP_STEP_M_S] * 3 + [TCP_ROTATION_RAD_S] * 3)
 """(6,) m/s and rad/s of a device at full deflection: those of action 1 of `tcp_delta`."""
 
+SILENT_S: Final = 0.08
+"""Age of the newest input from which on nothing moves: as long as LeRobot's device for two arms waits."""
+
+LOST_S: Final = 1.0
+"""Age from which on the device is given up."""
+
 BUTTONS: Final = (
+    "grip",
+    "grip_left",
+    "grip_right",
     "switch",
     "reset",
     "record",
@@ -28,8 +37,9 @@ BUTTONS: Final = (
     "hand_back",
     "stop",
 )
-"""Names of buttons with a meaning. "switch" passes a device for one hand to the other arm; the other ones are for what
-runs the episodes."""
+"""Names of buttons with a meaning. "grip" opens or closes the gripper of the arm that the hand leads, "grip_left" and
+"grip_right" those of one arm. "switch" passes a device for one hand to the other arm. The others are for what runs the
+episodes."""
 
 
 def _unset() -> Array:

@@ -28,18 +28,12 @@ from dual_ur10.kinematics.rotations import (
     rotate,
 )
 from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.policies.operators.device import FULL_TWIST, Device, Reading, checked
+from dual_ur10.policies.operators.device import FULL_TWIST, LOST_S, SILENT_S, Device, Reading, checked
 from dual_ur10.policies.operators.mapping import MIRRORED, Mapping
 from dual_ur10.sim2real.control.adapter import JOINT_MARGIN_RAD, ActionMode
 from dual_ur10.sim2real.control.cartesian_step import fraction_of_step, goal_of_step
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.types import Array, Mask
-
-SILENT_S: Final = 0.08
-"""Age of the newest input from which on nothing moves: as long as LeRobot's device for two arms waits."""
-
-LOST_S: Final = 1.0
-"""Age from which on the device is given up."""
 
 POSTURE_RAD: Final = 0.6
 """Largest distance of a leader's joint from that of its arm at which they are joined."""
@@ -170,6 +164,7 @@ class Operator:
         self.leads = reading.clutch
         told = reading.clutch & ~np.isnan(reading.gripper)
         self.opening = np.where(told, reading.gripper, self.opening)
+        self._grip(reading)
         goal = self._goal(reading, commanded, tools)
         action = goal if not self.grippers else np.concatenate([goal, 2.0 * self.opening[:, None] - 1.0], axis=1)
         return action.reshape(*state.shape[:-1], -1).astype(np.float32)
@@ -195,6 +190,15 @@ class Operator:
             self.release()
             return replace(reading, clutch=np.zeros(2, dtype=bool))
         return reading
+
+    def _grip(self, reading: Reading) -> None:
+        """Open or close grippers by buttons: closed ones open, others close; two that are led together do the same."""
+        pressed = np.array(["grip" in reading.buttons or f"grip_{arm}" in reading.buttons for arm in ARMS])
+        moved = pressed & reading.clutch
+        if moved.any():
+            wanted = self.opening < 0.5
+            together = self.mapping.arms in ("mirrored", "held")
+            self.opening = np.where(moved, wanted[0] if together else wanted, self.opening)
 
     def _routed(self, reading: Reading) -> Reading:
         """Return the reading with a row for each arm."""

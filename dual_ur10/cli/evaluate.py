@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,17 +17,20 @@ from dual_ur10.cli.options import (
     MinSuccess,
     NoRecord,
     OneArm,
+    OperatorName,
     Perturbed,
     PolicyName,
     PowerOn,
     Randomization,
     Seed,
     Settings,
+    check_leader,
     check_min_success,
     conclude,
     console,
     keywords_of,
     late_text,
+    make_operator,
     power_on,
     progress_of,
     randomize,
@@ -38,11 +42,13 @@ from dual_ur10.sim2real.processes.interrupts import INTERRUPTED
 
 if TYPE_CHECKING:
     from dual_ur10.policies.evaluation.results import Evaluation
+    from dual_ur10.policies.policy import Policy
 
 
 def evaluate(
     env: EnvName,
     policy: PolicyName = "scripted",
+    operator: OperatorName = None,
     episodes: Annotated[int, typer.Option("--episodes", "-n", help="Number of episodes.")] = 300,
     seed: Seed = 0,
     envs: Annotated[int, typer.Option("--envs", help="Episodes that run at a time; no result depends on it.")] = 8,
@@ -68,7 +74,7 @@ def evaluate(
     ] = None,
     no_record: NoRecord = False,
 ) -> None:
-    """Run many episodes of a policy, and print its success rate and further figures.
+    """Run many episodes of a policy or of an operator, and print its success rate and further figures.
 
     With --cell, both arms move to the start of every episode; real ones after your yes to each of these motions.
     """
@@ -78,14 +84,20 @@ def evaluate(
         raise SettingsError("--record and --no-record do not go together: leave one out")
     if not no_record and (record is not None or cell is not None):
         keywords.setdefault("record", str(record or RUNS))
-    envs = envs if cell is None and "record" not in keywords else 1
+    check_leader(policy, operator)
+    envs = envs if cell is None and "record" not in keywords and operator is None else 1
     check_min_success(min_success)
     targets = [path for path in (json, csv) if path is not None]
     if len({check_target(path) for path in targets}) < len(targets):
         raise SettingsError(f"--json and --csv both name {json}")
     if power:
         power_on(cell)
-    found = _run(env_id, policy, episodes, cell is not None, seed=seed, num_envs=envs, env_kwargs=keywords)
+    arguments = {"seed": seed, "num_envs": envs, "env_kwargs": keywords}
+    if operator is None:
+        found = _run(env_id, policy, episodes, cell is not None, **arguments)
+    else:
+        with contextlib.closing(make_operator(operator, env_id, keywords)) as person:
+            found = _run(env_id, person, episodes, cell is not None, **arguments)
     console.print(found.as_table())
     if json is not None:
         found.to_json(json)
@@ -96,12 +108,12 @@ def evaluate(
     conclude(found.successes, episodes, found.late_actions, min_success)
 
 
-def _run(env_id: str, policy: str, episodes: int, moves: bool, **arguments: Any) -> Evaluation:
+def _run(env_id: str, policy: Policy | str, episodes: int, moves: bool, **arguments: Any) -> Evaluation:
     """Return the evaluation, with its progress shown.
 
     Args:
         env_id: Id of the environment.
-        policy: Name of the policy.
+        policy: Name of the policy, or an operator.
         episodes: Number of episodes.
         moves: It is on two controllers: whoever names a cell here asks for its motions to each start.
         **arguments: Further arguments of `dual_ur10.policies.evaluation.evaluate.evaluate`.

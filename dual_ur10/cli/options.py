@@ -9,7 +9,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import gymnasium as gym
 import typer
@@ -26,6 +26,9 @@ from dual_ur10.policies.baselines import RandomPolicy, ZeroPolicy
 from dual_ur10.policies.registry import check_name, load_named, with_latency, wrong_types_named
 from dual_ur10.sim2real.processes.machine_load import too_busy
 
+if TYPE_CHECKING:
+    from dual_ur10.policies.operators.operator import Operator
+
 console = Console()
 errors = Console(stderr=True)
 
@@ -39,6 +42,15 @@ PolicyName = Annotated[
     str,
     typer.Option(
         "--policy", "-p", help="scripted, learned, random or zero; the folder of a checkpoint; or module:Class."
+    ),
+]
+OperatorName = Annotated[
+    str | None,
+    typer.Option(
+        "--operator",
+        metavar="DEVICE",
+        help="A person leads the arms instead of a policy, with a device and its arguments, such as "
+        "spacemouse:left=/dev/hidraw3,right=/dev/hidraw4; keyboard, gamepad, spacemouse, leader, or module:Class.",
     ),
 ]
 Settings = Annotated[
@@ -269,13 +281,44 @@ def _no_constant(name: str) -> None:
     raise ValueError(name)
 
 
-def make(env: str, policy: str, keywords: dict[str, Any], seed: int) -> tuple[Any, Any]:
-    """Return environment and policy.
+def check_leader(policy: str, operator: str | None) -> None:
+    """Refuse --policy beside --operator.
 
     Raises:
-        DualUR10Error: A name or a value is not legal.
+        SettingsError: Both are given.
+    """
+    if operator is not None and policy != "scripted":
+        raise SettingsError(f"--policy {policy} and --operator {operator} do not go together: leave one out")
+
+
+def make_operator(operator: str, env_id: str, keywords: dict[str, Any]) -> Operator:
+    """Return the operator of an environment, in the time of day.
+
+    Raises:
+        DualUR10Error: The device cannot be opened, or a value is not legal.
+    """
+    from dual_ur10.policies.operators.registry import load_operator
+
+    with wrong_types_named(env_id):
+        return load_operator(operator, env_id, keywords, paced=True)
+
+
+def make(env: str, policy: str, keywords: dict[str, Any], seed: int, operator: str | None = None) -> tuple[Any, Any]:
+    """Return environment and policy, or the operator, whose device is to be closed.
+
+    Raises:
+        DualUR10Error: A name or a value is not legal, or a device cannot be opened.
     """
     env_id = env_id_of(env)
+    check_leader(policy, operator)
+    if operator is not None:
+        person = make_operator(operator, env_id, keywords)
+        try:
+            with wrong_types_named(env_id):
+                return gym.make(env_id, **keywords), person
+        except BaseException:
+            person.close()
+            raise
     check_name(policy)
     keywords = with_latency(policy, env_id, keywords)
     actor = load_named(policy, env_id, keywords)  # before anything is connected or a folder of the run is made
@@ -284,3 +327,12 @@ def make(env: str, policy: str, keywords: dict[str, Any], seed: int) -> tuple[An
     if policy == "random":
         return made, RandomPolicy(made.action_space, seed=seed)
     return made, ZeroPolicy(made.action_space) if actor is None else actor
+
+
+def close(made: Any, actor: Any) -> None:
+    """Close an environment, and the device of an operator."""
+    try:
+        made.close()
+    finally:
+        if hasattr(actor, "device"):
+            actor.close()

@@ -17,6 +17,7 @@ from dual_ur10.cli.options import (
     MinSuccess,
     NoRecord,
     OneArm,
+    OperatorName,
     Perturbed,
     PolicyName,
     PowerOn,
@@ -24,6 +25,7 @@ from dual_ur10.cli.options import (
     Seed,
     Settings,
     check_min_success,
+    close,
     conclude,
     console,
     errors,
@@ -44,6 +46,7 @@ if TYPE_CHECKING:
 def rollout(
     env: EnvName,
     policy: PolicyName = "scripted",
+    operator: OperatorName = None,
     episodes: Annotated[int, typer.Option("--episodes", "-n", min=1, help="Number of episodes.")] = 5,
     seed: Seed = 0,
     min_success: MinSuccess = None,
@@ -55,7 +58,7 @@ def rollout(
     record: Record = RUNS,
     no_record: NoRecord = False,
 ) -> None:
-    """Run episodes of a policy, in MuJoCo or on two controllers, and print a row for each."""
+    """Run episodes of a policy or of an operator, in MuJoCo or on two controllers, and print a row for each."""
     from dual_ur10.policies.evaluation.rollout import rollout as run_episode
 
     check_min_success(min_success)
@@ -63,8 +66,9 @@ def rollout(
     if power:
         power_on(cell)
     if not no_record:
-        record_in(keywords, record, provenance(policy, env_id_of(env)))
-    made, actor = make(env, policy, keywords, seed)
+        about = {"policy": f"operator {operator}"} if operator else provenance(policy, env_id_of(env))
+        record_in(keywords, record, about)
+    made, actor = make(env, policy, keywords, seed, operator)
     table = Table(header_style="bold")
     returns, successes = [], 0
     late = 0
@@ -85,12 +89,12 @@ def rollout(
         if cell is None:
             raise
         runner = made.unwrapped.core.cell.runner
-        made.close()
+        close(made, actor)
         end = "both arms have stopped" if runner.stopped else "check both arms, one was not seen to stop"
         errors.print(f"interrupted: {end}", highlight=False, soft_wrap=True)
         raise typer.Exit(INTERRUPTED) from None
     finally:
-        made.close()
+        close(made, actor)
     console.print(table)
     spread = f" ± {np.std(returns):.2f}" if episodes > 1 else ""
     plant = "perturbed plant" if perturbed else "nominal plant: errors near zero are those of an exact model"

@@ -8,20 +8,32 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from dual_ur10.cli.options import EnvName, Perturbed, PolicyName, Seed, Settings, console, keywords_of, make
+from dual_ur10.cli.options import (
+    EnvName,
+    OperatorName,
+    Perturbed,
+    PolicyName,
+    Seed,
+    Settings,
+    close,
+    console,
+    keywords_of,
+    make,
+)
 
 
 def view(
     env: EnvName,
     policy: PolicyName = "scripted",
+    operator: OperatorName = None,
     seconds: Annotated[float | None, typer.Option("--seconds", min=0.1, help="Stop after this time.")] = None,
     seed: Seed = 0,
     settings: Settings = None,
     perturbed: Perturbed = False,
 ) -> None:
-    """Watch a policy in real time, in a window or, without a display, in a browser on this machine."""
+    """Watch a policy or an operator in real time, in a window or, without a display, in a browser on this machine."""
     keywords = keywords_of(settings, perturbed)
-    made, actor = make(env, policy, {**keywords, "render_mode": "human"}, seed)
+    made, actor = make(env, policy, {**keywords, "render_mode": "human"}, seed, operator)
     period_s = made.unwrapped.core.timing.period_s
     try:
         observation, _ = made.reset(seed=seed)
@@ -43,4 +55,4 @@ def view(
     except KeyboardInterrupt:
         console.print("closed")
     finally:
-        made.close()
+        close(made, actor)

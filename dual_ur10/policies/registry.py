@@ -15,7 +15,7 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from dual_ur10.errors import DualUR10Error, PolicyError, SettingsError, UnknownNameError
 from dual_ur10.ids import LEARNED_NAMES, TASKS, env_id_of, load_object
@@ -23,6 +23,9 @@ from dual_ur10.policies.baselines import BASELINES
 from dual_ur10.policies.policy import Policy, policy_name
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.config.cell_kinds import CELL_KINDS
+
+if TYPE_CHECKING:
+    from dual_ur10.envs.core.setup import EnvSetup
 
 _OF_INTERFACES: Final = ("max_episode_steps", "render_mode", "threads")
 """Keywords of `gym.make` and `gym.make_vec` on which no policy depends."""
@@ -199,7 +202,11 @@ def _made(path: str, env_id: str | None, keywords: Mapping[str, Any]) -> Policy:
 def _arguments(env_id: str, keywords: Mapping[str, Any], names: Collection[str]) -> dict[str, Any]:
     from dual_ur10.envs.core.setup import EnvSetup
 
-    setup = EnvSetup.resolve(env_id, keywords, ignore_unknown=True)
+    return arguments_of(EnvSetup.resolve(env_id, keywords, ignore_unknown=True), names)
+
+
+def arguments_of(setup: EnvSetup, names: Collection[str]) -> dict[str, Any]:
+    """Return those arguments of a policy, out of `_ARGUMENTS`, that are named, for an environment."""
     values = {
         "timing": setup.timing,
         "action_mode": setup.options.action_mode,

@@ -169,6 +169,11 @@ def test_random_actions_depend_on_the_seed_alone() -> None:
         (("rollout", "SineTracking", "--perturbed", "--set", "cell=mujoco"), "an option sets cell"),
         (("rollout", "Juggling"), "unknown environment 'Juggling': use one of 'DualUR10/SineTracking-v0'"),
         (("rollout", "SineTracking", "-p", "psychic"), "unknown policy 'psychic': use one of 'scripted'"),
+        (("rollout", "SineTracking", "--operator", "wheel"), "unknown operator 'wheel': use one of 'keyboard'"),
+        (("rollout", "SineTracking", "--operator", "leader:port=3"), "unknown argument of the operator leader 'port'"),
+        (("rollout", "SineTracking", "--operator", "keyboard", "-p", "zero"), "do not go together"),
+        (("evaluate", "SineTracking", "--operator", "spacemouse:path=/none,scale=2"), "scale is 2"),
+        (("view", "SineTracking", "--operator", "spacemouse:path=/none"), "there is no /none"),
         (
             ("view", "SineTracking", "--set", "amplitud=0.1"),
             "unexpected keyword argument 'amplitud'",
@@ -182,6 +187,42 @@ def test_a_bad_argument_is_one_line_and_exit_code_2(arguments: tuple[str, ...], 
     assert message in text
     assert text.count("\n") == 1
     assert "raised from" not in text
+
+
+PERSON = """
+import numpy as np
+from dual_ur10.policies.operators.device import Reading
+
+OPEN = []
+
+
+class Hand:
+    name, hands = "a hand", 2
+
+    def __init__(self, speed=0.0):
+        self.speed = speed
+        OPEN.append(self)
+
+    def read(self):
+        return Reading(twist=np.full((2, 6), self.speed), clutch=np.array([True, True]))
+
+    def close(self):
+        OPEN.remove(self)
+"""
+
+
+@pytest.mark.parametrize("command", ["rollout", "evaluate"])
+def test_a_person_with_a_device_of_ones_own_acts(command: str, tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "my_hand.py").write_text(PERSON)
+    monkeypatch.syspath_prepend(tmp_path)
+    arguments = ("SineTracking", "-n", "1", "--set", "duration_s=0.2", "--operator")
+    still, led = (run(command, *arguments, f"my_hand:Hand:speed={speed},arms=left") for speed in (0.0, 0.05))
+    assert still[0] == led[0] == 0
+    assert still[1] != led[1]
+    code, text = run(command, *arguments, "my_hand:Hand", "--set", "amplitud=1")
+    assert (code, "amplitud" in text) == (2, True)
+    assert __import__("my_hand").OPEN == []
+    sys.modules.pop("my_hand")
 
 
 def test_values_of_set_are_literals_or_text() -> None:

@@ -89,7 +89,7 @@ class Scanner:
     def feed(self, data: bytes) -> list[Answer]:
         """Return the answers that these bytes complete. Packets of others, such as an echo, are left out."""
         self._data += data
-        found = []
+        found: list[Answer] = []
         while True:
             start = self._data.find(_HEADER)
             if start < 0:

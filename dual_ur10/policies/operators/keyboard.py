@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import select
 import sys
 import termios
 import time
@@ -118,8 +119,6 @@ class _Terminal:
         self._clock, self._pressed_s = clock, dict.fromkeys(MOTIONS, -np.inf)
         self._before: list[Any] | None = termios.tcgetattr(self._file)
         tty.setcbreak(self._file, termios.TCSANOW)  # Ctrl-C still interrupts
-        self._blocking = os.get_blocking(self._file)
-        os.set_blocking(self._file, False)
 
     def read(self) -> tuple[Array, frozenset[str]]:
         """Return shares of full speed, (6,), and buttons."""
@@ -136,10 +135,11 @@ class _Terminal:
 
     def _text(self) -> str:
         """Return the keys since the last reading."""
+        # Without blocking set off, which would concern the standard output, too: it is the same open terminal.
+        if not select.select([self._file], [], [], 0.0)[0]:
+            return ""
         try:
             data = os.read(self._file, _READ_BYTES)
-        except BlockingIOError:
-            return ""
         except OSError as error:
             unplugged(self.name, error)
         if not data:
@@ -151,7 +151,6 @@ class _Terminal:
         before, self._before = self._before, None
         if before is not None:
             with contextlib.suppress(OSError, termios.error):  # it is gone
-                os.set_blocking(self._file, self._blocking)
                 termios.tcsetattr(self._file, termios.TCSANOW, before)
 
 

@@ -287,7 +287,8 @@ class Operator:
         """Return the joint part of the action of joint steps, (2, 6), each arm's as far as one period allows."""
         share = step_rad / self._step_rad
         share = share / np.maximum(1.0, np.abs(share).max(axis=1, keepdims=True))
-        return commanded + share * self._step_rad if self.action_mode == "joint_position" else share
+        goal: Array = commanded + share * self._step_rad
+        return goal if self.action_mode == "joint_position" else share
 
     # Leader arms.
 

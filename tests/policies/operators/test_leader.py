@@ -149,7 +149,7 @@ def test_unplugging_is_named(raw):
 
 
 def test_absent_denied_and_shared_ports_are_named(raw, tmp_path, monkeypatch):
-    with pytest.raises(DeviceAbsentError, match="there is no .*Found here"):
+    with pytest.raises(DeviceAbsentError, match=r"there is no .*Found here"):
         Leader(str(tmp_path / "none"))
     with pytest.raises(DeviceSharedError, match="both hands"):
         Leader(left=raw.path, right=raw.path)

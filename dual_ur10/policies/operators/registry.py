@@ -1,0 +1,138 @@
+"""Operators by name, with the arguments of their devices and of their mapping in one text."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import inspect
+import re
+import time
+from collections.abc import Mapping as Values
+from typing import Any, Final
+
+from dual_ur10.envs.core.setup import EnvSetup
+from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError
+from dual_ur10.ids import load_object
+from dual_ur10.policies.operators.device import Device
+from dual_ur10.policies.operators.mapping import Mapping
+from dual_ur10.policies.operators.operator import Operator
+from dual_ur10.policies.registry import arguments_of
+
+_HERE: Final = "dual_ur10.policies.operators"
+
+DEVICES: Final = {
+    "keyboard": f"{_HERE}.keyboard:Keyboard",
+    "gamepad": f"{_HERE}.gamepad:Gamepad",
+    "spacemouse": f"{_HERE}.spacemouse:SpaceMouse",
+    "leader": f"{_HERE}.leader:Leader",
+}
+"""Classes of devices, "module:Class", by name."""
+
+_OWN: Final = re.compile(r"([^\W\d][\w.]*:[^\W\d]\w*)(?::(.*))?", re.DOTALL)
+_OF_MAPPING: Final = tuple(each.name for each in dataclasses.fields(Mapping))
+_NOT_TEXT: Final = ("clock", "file")  # arguments of devices that only programs give
+
+
+def device_class(text: str) -> tuple[str, str]:
+    """Return the class of a device, "module:Class", and the text of its arguments.
+
+    Args:
+        text: "NAME", "NAME:ARGUMENTS", "module:Class" or "module:Class:ARGUMENTS".
+
+    Raises:
+        UnknownNameError: There is no such device.
+    """
+    name, _, rest = text.partition(":")
+    if name in DEVICES:
+        return DEVICES[name], rest
+    own = _OWN.fullmatch(text)
+    if own is None:
+        raise UnknownNameError("operator", text, tuple(DEVICES), "module:Class of a device of your own")
+    return own[1], own[2] or ""
+
+
+def arguments_in(text: str) -> dict[str, Any]:
+    """Return the arguments of a text, "KEY=VALUE,KEY=VALUE": numbers, True and False, texts, and tuples with "/".
+
+    Raises:
+        SettingsError: A part has another form, or a key is given twice.
+    """
+    found: dict[str, Any] = {}
+    for part in filter(None, text.split(",")):
+        key, sign, value = part.partition("=")
+        if not sign or not key.strip().isidentifier():
+            raise SettingsError(f"operator argument {part!r}: write it as KEY=VALUE, such as left=/dev/hidraw3")
+        if key.strip() in found:
+            raise SettingsError(f"operator argument {key.strip()} is given twice")
+        found[key.strip()] = _value(value.strip())
+    return found
+
+
+def _value(text: str) -> Any:
+    if text.lower() in ("true", "false"):
+        return text.lower() == "true"
+    if "/" in text and not text.startswith("/"):
+        parts = [_number(each) for each in text.split("/")]
+        if all(isinstance(each, int | float) for each in parts):
+            return tuple(parts)
+    return _number(text)
+
+
+def _number(text: str) -> Any:
+    try:
+        value = ast.literal_eval(text)
+    except (ValueError, SyntaxError):
+        return text
+    return value if isinstance(value, int | float) else text
+
+
+def make_device(text: str) -> tuple[Device, Mapping]:
+    """Return a device, opened, and the mapping of its operator.
+
+    Args:
+        text: As for `device_class`. Arguments are those of the device's class and of `Mapping`.
+
+    Raises:
+        UnknownNameError: There is no such device or argument.
+        SettingsError: A value is not legal, or a class cannot be imported or made.
+        DeviceError: One of its kinds: the device cannot be opened.
+        MissingExtraError: It needs a package that is not installed.
+    """
+    path, rest = device_class(text)
+    factory = load_object(path, "the operator's device")
+    given = arguments_in(rest)
+    mapping = Mapping(**{name: given.pop(name) for name in _OF_MAPPING if name in given})
+    try:
+        known = [name for name in inspect.signature(factory).parameters if name not in _NOT_TEXT]
+        unknown = next((name for name in given if name not in known), None)
+        if unknown is not None:
+            raise UnknownNameError(f"argument of the operator {text.split(':')[0]}", unknown, [*known, *_OF_MAPPING])
+        return factory(**given), mapping
+    except DualUR10Error:
+        raise
+    except (TypeError, ValueError) as error:
+        raise SettingsError(f"the operator's device {text!r} cannot be made: {error}") from error
+
+
+def load_operator(text: str, env_id: str, keywords: Values[str, Any], *, paced: bool = False) -> Operator:
+    """Return the operator of an environment with these keywords.
+
+    Args:
+        text: As for `make_device`.
+        env_id: Id of the environment.
+        keywords: Keywords of the environment.
+        paced: Let actions wait for the time of day in a simulation, which else runs faster than a person.
+
+    Raises:
+        DualUR10Error: As for `make_device`, or a keyword is not legal.
+    """
+    setup = EnvSetup.resolve(env_id, keywords, ignore_unknown=True)
+    arguments = arguments_of(setup, ("timing", "action_mode", "mounts", "limits", "tools", "grippers"))
+    clock = time.monotonic if paced and not setup.config.controllers else None
+    device, mapping = make_device(text)
+    try:
+        return Operator(device, mapping, clock=clock, **arguments)
+    except BaseException:
+        if isinstance(device, Device):
+            device.close()
+        raise

@@ -1,0 +1,150 @@
+"""Keyboards: a pseudo terminal, and SDL's events without a display."""
+
+import contextlib
+import os
+import pty
+import termios
+
+import numpy as np
+import pytest
+
+from dual_ur10.errors import DeviceAbsentError, DeviceUnpluggedError, SettingsError
+from dual_ur10.policies.operators.device import FULL_TWIST
+from dual_ur10.policies.operators.keyboard import KEYS, MOTIONS, Keyboard
+
+
+class Clock:
+    now_s = 10.0
+
+    def __call__(self):
+        return self.now_s
+
+
+@pytest.fixture
+def terminal():
+    """Return both ends of a pseudo terminal."""
+    own, other = pty.openpty()
+    yield own, other
+    for each in (own, other):
+        with contextlib.suppress(OSError):
+            os.close(each)
+
+
+def test_a_key_of_a_terminal_gives_a_speed_that_decays(terminal):
+    own, other = terminal
+    clock = Clock()
+    keyboard = Keyboard(file=other, clock=clock, speed=0.5)
+    assert not keyboard.read().twist.any()
+    os.write(own, b"wJ")
+    share = keyboard.read().twist[0] / FULL_TWIST
+    np.testing.assert_allclose(share, [0.5, 0, 0, 0, 0, 0.5])
+    clock.now_s += 0.075
+    np.testing.assert_allclose(keyboard.read().twist[0] / FULL_TWIST, share / 2)
+    clock.now_s += 0.08
+    assert not keyboard.read().twist.any()
+
+
+def test_opposite_keys_cancel_and_every_axis_has_both_directions(terminal):
+    own, other = terminal
+    keyboard = Keyboard(file=other)
+    os.write(own, "".join(MOTIONS).encode())
+    assert not keyboard.read().twist.any()
+    assert sorted(MOTIONS.values()) == sorted((axis, sign) for axis in range(6) for sign in (-1.0, 1.0))
+    assert not {*MOTIONS} & {*KEYS}
+
+
+def test_other_keys_are_buttons(terminal):
+    own, other = terminal
+    keyboard = Keyboard(file=other)
+    os.write(own, b" \t2zq\xc3\xa4")
+    assert keyboard.read().buttons == {"grip", "switch", "take_right"}
+    assert not keyboard.read().buttons
+    os.write(own, b"\x1b[A")  # an arrow, no letter
+    reading = keyboard.read()
+    assert not reading.buttons
+    assert not reading.twist.any()
+
+
+def test_the_terminal_is_restored(terminal):
+    _, other = terminal
+    before = termios.tcgetattr(other)
+    keyboard = Keyboard(file=other)
+    assert termios.tcgetattr(other) != before
+    assert os.get_blocking(other)  # the standard output is the same terminal
+    keyboard.close()
+    keyboard.close()
+    assert termios.tcgetattr(other) == before
+
+
+def test_a_terminal_that_hangs_up_is_named(terminal):
+    own, other = terminal
+    keyboard = Keyboard(file=other)
+    os.close(own)
+    with pytest.raises(DeviceUnpluggedError, match="keyboard of the terminal"):
+        keyboard.read()
+    keyboard.close()
+
+
+def test_what_is_no_terminal_is_refused(tmp_path):
+    with open(tmp_path / "file", "w") as file, pytest.raises(DeviceAbsentError, match="no terminal"):
+        Keyboard(file=file.fileno())
+
+
+@pytest.mark.parametrize("arguments", [{"speed": 0.0}, {"speed": "fast"}, {"window": "yes"}])
+def test_wrong_arguments_are_named(arguments):
+    with pytest.raises(SettingsError, match="of a keyboard is"):
+        Keyboard(**arguments)
+
+
+class TestWindow:
+    @pytest.fixture
+    def sdl(self, monkeypatch):
+        monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+        return pytest.importorskip("sdl2")
+
+    @pytest.fixture
+    def keyboard(self, sdl):
+        made = Keyboard(window=True, speed=1.0)
+        made.read()
+        yield made
+        made.close()
+        made.close()
+
+    @staticmethod
+    def key(sdl, key, kind, repeat=0):
+        event = sdl.SDL_Event()
+        event.type = event.key.type = kind
+        event.key.keysym.sym, event.key.repeat = ord(key), repeat
+        sdl.SDL_PushEvent(event)
+
+    def test_a_key_moves_while_it_is_held(self, sdl, keyboard):
+        self.key(sdl, "w", sdl.SDL_KEYDOWN)
+        self.key(sdl, "l", sdl.SDL_KEYDOWN)
+        for _ in range(2):
+            np.testing.assert_allclose(keyboard.read().twist[0] / FULL_TWIST, [1, 0, 0, 0, 0, -1])
+        self.key(sdl, "w", sdl.SDL_KEYUP)
+        np.testing.assert_allclose(keyboard.read().twist[0] / FULL_TWIST, [0, 0, 0, 0, 0, -1])
+
+    def test_buttons_count_once(self, sdl, keyboard):
+        self.key(sdl, " ", sdl.SDL_KEYDOWN)
+        self.key(sdl, " ", sdl.SDL_KEYDOWN, repeat=1)
+        assert keyboard.read().buttons == {"grip"}
+        assert not keyboard.read().buttons
+
+    def test_without_the_focus_nothing_is_held(self, sdl, keyboard):
+        self.key(sdl, "w", sdl.SDL_KEYDOWN)
+        assert keyboard.read().twist.any()
+        self.window(sdl, sdl.SDL_WINDOWEVENT_FOCUS_LOST)
+        assert not keyboard.read().twist.any()
+
+    def test_a_closed_window_is_named(self, sdl, keyboard):
+        self.window(sdl, sdl.SDL_WINDOWEVENT_CLOSE)
+        with pytest.raises(DeviceUnpluggedError, match="window was closed"):
+            keyboard.read()
+
+    @staticmethod
+    def window(sdl, kind):
+        event = sdl.SDL_Event()
+        event.type = event.window.type = sdl.SDL_WINDOWEVENT
+        event.window.event = kind
+        sdl.SDL_PushEvent(event)

@@ -282,7 +282,7 @@ class DeviceGarbageError(DeviceError):
     """Raised when an input device sends what cannot be understood."""
 
 
-class LeaderPostureError(DeviceError):
+class LeaderConfigurationError(DeviceError):
     """Raised when the joints of a leader arm are too far from those of the arm that it is to lead."""
 
 

@@ -68,6 +68,7 @@ TASKS: Final = {
         training=f"{_SETTINGS}:HANDOVER",
         learned={"learned": f"{_LEARNED}:learned_policies/handover"},
     ),
+    "DualUR10/Free-v0": TaskEntry(task=f"{_TASKS}.free.task:Free"),
 }
 """Tasks by id; `dual_ur10.registration.register` adds to them."""
 

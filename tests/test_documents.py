@@ -20,7 +20,7 @@ import yaml
 import ur_emulator.cli
 from dual_ur10 import tasks
 from dual_ur10.cli.main import app
-from dual_ur10.ids import ENV_IDS
+from dual_ur10.ids import ENV_IDS, TASKS
 from dual_ur10.policies.training import settings
 from tests import documented_facts
 
@@ -412,7 +412,7 @@ def test_only_commands_with_an_environment_speak_of_episodes():
 
 def test_the_default_networks_are_those_of_the_settings():
     by_algorithm = {
-        algorithm: {settings.defaults(env_id, algorithm).agents for env_id in ENV_IDS}
+        algorithm: {settings.defaults(env_id, algorithm).agents for env_id in ENV_IDS if TASKS[env_id].training}
         for algorithm in get_args(settings.Algorithm)
     }
     ((joint,), (shared,)) = by_algorithm["dagger"], by_algorithm["ppo"]

@@ -297,7 +297,7 @@ def make_operator(operator: str, env_id: str, keywords: dict[str, Any]) -> Opera
     Raises:
         DualUR10Error: The device cannot be opened, or a value is not legal.
     """
-    from dual_ur10.policies.operators.registry import load_operator
+    from dual_ur10.policies.operators.catalog import load_operator
 
     with wrong_types_named(env_id):
         return load_operator(operator, env_id, keywords, paced=True)

@@ -25,7 +25,7 @@ from dual_ur10.policies.learned import checkpoint, from_sb3
 from dual_ur10.policies.learned.from_sb3 import inspect_model
 from dual_ur10.policies.learned.learned_policy import LearnedPolicy
 
-SINE, CARRY, _ = dual_ur10.ENV_IDS
+SINE, CARRY = dual_ur10.ENV_IDS[:2]
 LATENCY = ("--set", "action_latency_ticks=5")
 
 

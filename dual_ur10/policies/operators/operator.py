@@ -15,7 +15,7 @@ from dual_ur10.assets.settings import DEFAULT_TOOLS, SceneSettings
 from dual_ur10.assets.tool import Tool, levers_m
 from dual_ur10.envs.tasks.observation_layout import ARM_FIELDS, ObservationLayout
 from dual_ur10.envs.tasks.task import Timing
-from dual_ur10.errors import ActionError, DeviceSilentError, LeaderPostureError, SettingsError, UnknownNameError
+from dual_ur10.errors import ActionError, DeviceSilentError, LeaderConfigurationError, SettingsError, UnknownNameError
 from dual_ur10.kinematics import flange_pose_quat, try_nearest
 from dual_ur10.kinematics.frames import ArmMount, Frames
 from dual_ur10.kinematics.poses import Poses, compose, relative_to
@@ -35,7 +35,7 @@ from dual_ur10.sim2real.control.cartesian_step import fraction_of_step, goal_of_
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.types import Array, Mask
 
-POSTURE_RAD: Final = 0.6
+JOINED_WITHIN_RAD: Final = 0.6
 """Largest distance of a leader's joint from that of its arm at which they are joined."""
 
 _JOIN_RAD_S: Final = 0.2  # speed of an arm to its leader, until it is there: at most 3 s
@@ -62,7 +62,7 @@ class Operator:
     A hand whose clutch is released leaves its arm and its gripper as they are. So does a device that is silent for more
     than 80 ms; after 1 s of silence it is given up.
 
-    Leader arms are absolute. Whole turns of their joints are chosen by the posture of the arm; a joint that is then
+    Leader arms are absolute. Whole turns of their joints are chosen by the configuration of the arm; a joint that is then
     more than 0.6 rad away is refused. Until the arm has come to its leader, it moves at 0.2 rad/s or less.
 
     Args:
@@ -162,8 +162,8 @@ class Operator:
         self.tools_m = np.concatenate(tools, axis=1)
         reading = self._routed(self._read())
         self.leads = reading.clutch
-        told = reading.clutch & ~np.isnan(reading.gripper)
-        self.opening = np.where(told, reading.gripper, self.opening)
+        by_hand = reading.clutch & ~np.isnan(reading.gripper)
+        self.opening = np.where(by_hand, reading.gripper, self.opening)
         self._grip(reading)
         goal = self._goal(reading, commanded, tools)
         action = goal if not self.grippers else np.concatenate([goal, 2.0 * self.opening[:, None] - 1.0], axis=1)
@@ -303,7 +303,7 @@ class Operator:
             near = commanded[arm] if before is None else before
             wanted = joints[arm] + _TURN * np.round((near - joints[arm]) / _TURN)
             if before is None:
-                self._check_posture(arm, wanted, commanded[arm])
+                self._check_configuration(arm, wanted, commanded[arm])
             self._leader[arm] = wanted
             away = wanted - commanded[arm]
             step[arm] = away * self._share
@@ -317,14 +317,14 @@ class Operator:
         goal = self._tools(commanded + step / np.maximum(1.0, share.max(axis=1, keepdims=True)))
         return self._shortened(np.where(clutch[:, None], _difference(tools, goal), 0.0)) / self._most
 
-    def _check_posture(self, arm: int, wanted: Array, commanded: Array) -> None:
+    def _check_configuration(self, arm: int, wanted: Array, commanded: Array) -> None:
         off = np.abs(wanted - commanded)
         joint = int(off.argmax())
-        if off[joint] > POSTURE_RAD:
-            raise LeaderPostureError(
+        if off[joint] > JOINED_WITHIN_RAD:
+            raise LeaderConfigurationError(
                 f"joint {joint + 1} of the leader of the {ARMS[arm]} arm is at {wanted[joint]:.2f} rad, that of the "
-                f"arm at {commanded[joint]:.2f} rad: allowed are {POSTURE_RAD:g} rad between them. Put the leader into "
-                "the posture of its arm; if it is there, check the leader's offsets and signs"
+                f"arm at {commanded[joint]:.2f} rad: allowed are {JOINED_WITHIN_RAD:g} rad between them. Put the leader "
+                "into the configuration of its arm; if it is there, check the leader's offsets and signs"
             )
 
     # One object that both grippers hold.

@@ -16,7 +16,7 @@ from dual_ur10.policies.learned.manifest import Manifest
 from dual_ur10.policies.learned.network import NetworkShape, Normaliser
 from dual_ur10.policies.learned.signature import view_of
 
-SINE, CARRY, HANDOVER = dual_ur10.ENV_IDS
+SINE, CARRY, HANDOVER = dual_ur10.ENV_IDS[:3]
 KINDS = ("joint", "shared", "independent")
 
 

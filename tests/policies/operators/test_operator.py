@@ -7,7 +7,7 @@ from dual_ur10.errors import (
     ActionError,
     DeviceGarbageError,
     DeviceSilentError,
-    LeaderPostureError,
+    LeaderConfigurationError,
     SettingsError,
     UnknownNameError,
 )
@@ -199,7 +199,7 @@ def test_a_leader_too_far_from_its_arm_is_refused():
     leader = commanded(observation).copy()
     leader[1, 2] += 0.7
     device.set(joints_rad=leader, clutch=np.array([True, True]))
-    with pytest.raises(LeaderPostureError, match=r"joint 3 of the leader of the right arm.*0\.6 rad"):
+    with pytest.raises(LeaderConfigurationError, match=r"joint 3 of the leader of the right arm.*0\.6 rad"):
         operator(observation)
     device.set(joints_rad=leader, clutch=np.array([True, False]))
     assert not operator(observation).any()

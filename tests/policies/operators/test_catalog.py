@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from dual_ur10.errors import SettingsError, UnknownNameError
+from dual_ur10.policies.operators.catalog import DEVICES, arguments_in, device_class, load_operator, make_device
 from dual_ur10.policies.operators.mapping import Mapping
-from dual_ur10.policies.operators.registry import DEVICES, arguments_in, device_class, load_operator, make_device
 from tests.policies.operators.rigs import RawMouse
 
 

@@ -1,0 +1,1 @@
+"""Free: a scene without a task."""

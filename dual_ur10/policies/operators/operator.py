@@ -40,7 +40,7 @@ JOINED_WITHIN_RAD: Final = 0.6
 
 _JOIN_RAD_S: Final = 0.2  # speed of an arm to its leader, until it is there: at most 3 s
 _JOINED_RAD: Final = 0.01  # distance at which it is
-_SMOOTH_S: Final = 0.05  # time constant with which an arm follows wanted poses and joints
+_SMOOTH_S: Final = 0.03  # time constant with which an arm follows wanted poses and joints
 _ROOM: Final = 0.95  # of the limits, for a step of a held object
 _SHORTER: Final = 0.8  # factor on such a step that one arm cannot take
 _TRIES: Final = 8
@@ -62,8 +62,8 @@ class Operator:
     A hand whose clutch is released leaves its arm and its gripper as they are. So does a device that is silent for more
     than 80 ms; after 1 s of silence it is given up.
 
-    Leader arms are absolute. Whole turns of their joints are chosen by the configuration of the arm; a joint that is then
-    more than 0.6 rad away is refused. Until the arm has come to its leader, it moves at 0.2 rad/s or less.
+    Leader arms are absolute. Whole turns of their joints are chosen by the configuration of the arm; a joint that is
+    then more than 0.6 rad away is refused. Until the arm has come to its leader, it moves at 0.2 rad/s or less.
 
     Args:
         device: Input device. `close` closes it.
@@ -323,8 +323,8 @@ class Operator:
         if off[joint] > JOINED_WITHIN_RAD:
             raise LeaderConfigurationError(
                 f"joint {joint + 1} of the leader of the {ARMS[arm]} arm is at {wanted[joint]:.2f} rad, that of the "
-                f"arm at {commanded[joint]:.2f} rad: allowed are {JOINED_WITHIN_RAD:g} rad between them. Put the leader "
-                "into the configuration of its arm; if it is there, check the leader's offsets and signs"
+                f"arm at {commanded[joint]:.2f} rad: allowed are {JOINED_WITHIN_RAD:g} rad between them. Put the "
+                "leader into the configuration of its arm; if it is there, check its offsets and signs"
             )
 
     # One object that both grippers hold.

@@ -1,0 +1,74 @@
+"""Operators: time from an input to motion, and tasks finished by synthetic persons through devices alone.
+
+python benchmarks/operators.py [--episodes 20] [--devices spacemouse,leader] [--json FILE]
+
+Persons act by the reports of their devices: SpaceMice as raw reports in a pipe, leader arms as chains of servos on pseudo
+terminals. Tasks run in simulation. Times are those of a virtual cell, by the clock of its controllers.
+"""
+
+from __future__ import annotations
+
+import os
+
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(name, "1")
+
+import argparse
+import json
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent.parent))
+
+from dual_ur10.policies.operators import leader
+from tests.policies.operators.persons import PERSONS, successes
+from tests.virtual.test_operator import Rig, input_to_motion_s
+
+TASKS = {"handover": "Handover", "carry": "SyncCarry"}
+INPUTS = 10
+
+
+def input_to_motion_ms(family: str) -> float:
+    """Return the 99th percentile of the time from an input, at any instant, to the first motion, at 125 Hz."""
+    with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
+        rig = Rig(Path(folder), patch, family=family)
+        waits = input_to_motion_s(rig, INPUTS)
+        rig.close()
+    instants = np.linspace(0.0, 0.008, 100)  # between two readings
+    return float(1e3 * np.quantile(waits[:, None] + instants, 0.99))
+
+
+def finished(device: str, episodes: int) -> dict[str, list[int]]:
+    """Return the numbers of successes and of episodes of each task."""
+    found = {}
+    for name, task in TASKS.items():
+        with tempfile.TemporaryDirectory() as folder:
+            found[name] = [int(successes(device, task, range(episodes), Path(folder))), episodes]
+        print(f"{device}, {name}: {found[name][0]} of {episodes}", flush=True)
+    return found
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--episodes", type=int, default=20)
+    parser.add_argument("--devices", default=",".join(PERSONS))
+    parser.add_argument("--json", type=Path, help="write the figures to this file")
+    arguments = parser.parse_args()
+    leader._WAIT_S = 0.2  # the emulated servos answer from a thread of this process
+    figures: dict[str, Any] = {}
+    for key, family in (("input_to_motion_ms_p99", "e-series"), ("input_to_motion_cb3_ms_p99", "cb3")):
+        figures[key] = round(input_to_motion_ms(family), 1)
+        print(f"{family}: input to motion, 99th percentile {figures[key]} ms", flush=True)
+    figures["devices"] = {each: finished(each, arguments.episodes) for each in arguments.devices.split(",")}
+    if arguments.json:
+        arguments.json.write_text(json.dumps(figures, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -2,8 +2,8 @@
 
 python benchmarks/operators.py [--episodes 20] [--devices spacemouse,leader] [--json FILE]
 
-Persons act by the reports of their devices: SpaceMice as raw reports in a pipe, leader arms as chains of servos on pseudo
-terminals. Tasks run in simulation. Times are those of a virtual cell, by the clock of its controllers.
+Persons act by the reports of their devices: SpaceMice as raw reports in a pipe, leader arms as chains of servos on
+pseudo terminals. Tasks run in simulation. Times are those of a virtual cell, by the clock of its controllers.
 """
 
 from __future__ import annotations

@@ -99,6 +99,7 @@ def test_a_device_that_is_unplugged_while_it_moves_stops_both_arms(tmp_path, mon
 
 def test_a_device_that_falls_silent_stops_the_arms_on_their_path_and_is_then_named(tmp_path, monkeypatch):
     rig = Rig(tmp_path, monkeypatch)
+    rig.steps(5)  # the first one waits for the arms to begin
     rig.mice[0].deflect(FORWARD)
     rig.steps(9)  # the last reading is 64 ms old
     assert rig.operator.leads.all()

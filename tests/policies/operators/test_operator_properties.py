@@ -1,7 +1,7 @@
 """Operators under any input: within the limits, still when released, and one body when an object is held."""
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from dual_ur10.kinematics.poses import Poses, relative_to
@@ -39,6 +39,7 @@ def test_no_input_exceeds_the_speeds_and_a_released_hand_never_moves(inputs, mod
 @settings(deadline=None, max_examples=15, database=None)
 @given(moves=st.lists(st.tuples(SPEEDS, st.integers(1, 12), st.booleans()), min_size=1, max_size=6),
        mode=st.sampled_from(["tcp_delta", "joint_delta"]))  # fmt: skip
+@example(moves=[([0.25, 0, 0, 0, 0, 0.5], 30, True)], mode="tcp_delta")  # one tool would be too fast
 def test_a_held_object_is_one_body_with_both_tools(moves, mode):
     device = Hand(hands=1, **twist(*[0] * 6))
     env, operator = led(device, "SyncCarry", {"arms": "held"}, action_mode=mode, grasp="rigid")

@@ -175,6 +175,12 @@ class ConciseView:
         away /= self._unit + np.abs(away)
         return away.reshape(len(observation), -1).astype(np.float32)
 
+    def commanded_q_rad(self, view: Array) -> Array:
+        """Return the commanded joint positions, (n, 2, 6), that views, (n, 2 * layout.size), show."""
+        shown = np.asarray(view, dtype=np.float64).reshape(len(view), 2, -1)[..., :6]
+        found: Array = self._origin[:, :6] + shown / (1.0 - np.abs(shown))
+        return found
+
 
 def _shown(field: Field) -> Field:
     """Return a field as it is in the concise view."""

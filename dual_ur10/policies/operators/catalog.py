@@ -127,11 +127,12 @@ def load_operator(text: str, env_id: str, keywords: Values[str, Any], *, paced: 
         DualUR10Error: As for `make_device`, or a keyword is not legal.
     """
     setup = EnvSetup.resolve(env_id, keywords, ignore_unknown=True)
-    arguments = arguments_of(setup, ("timing", "action_mode", "mounts", "limits", "tools", "grippers"))
+    names = ("timing", "action_mode", "action_scale", "mounts", "limits", "tools", "grippers")
+    view = setup.make_task().concise_view() if setup.options.concise else None
     clock = time.monotonic if paced and not setup.config.controllers else None
     device, mapping = make_device(text)
     try:
-        return Operator(device, mapping, clock=clock, **arguments)
+        return Operator(device, mapping, clock=clock, view=view, **arguments_of(setup, names))
     except BaseException:
         if isinstance(device, Device):
             device.close()

@@ -13,7 +13,7 @@ import numpy as np
 
 from dual_ur10.assets.settings import DEFAULT_TOOLS, SceneSettings
 from dual_ur10.assets.tool import Tool, levers_m
-from dual_ur10.envs.tasks.observation_layout import ARM_FIELDS, ObservationLayout
+from dual_ur10.envs.tasks.observation_layout import ARM_FIELDS, ConciseView, ObservationLayout
 from dual_ur10.envs.tasks.task import Timing
 from dual_ur10.errors import ActionError, DeviceSilentError, LeaderConfigurationError, SettingsError, UnknownNameError
 from dual_ur10.kinematics import flange_pose_quat, try_nearest
@@ -30,7 +30,7 @@ from dual_ur10.kinematics.rotations import (
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies.operators.device import FULL_TWIST, LOST_S, SILENT_S, Device, Reading, checked
 from dual_ur10.policies.operators.mapping import MIRRORED, Mapping
-from dual_ur10.sim2real.control.adapter import JOINT_MARGIN_RAD, ActionMode
+from dual_ur10.sim2real.control.adapter import JOINT_MARGIN_RAD, ActionMode, ActionScale, scale_of_steps
 from dual_ur10.sim2real.control.cartesian_step import fraction_of_step, goal_of_step
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.types import Array, Mask
@@ -57,7 +57,8 @@ class Operator:
 
     It continues from the commanded joint positions that the observation holds, never from measured ones: an arm that
     lags or sags does not drag its command along. Limits, singularities and the other arm are felt as the adapter and
-    the safety gate treat them: a step that one of them shortens is lost, and another direction is open at once.
+    the safety gate treat them: a tool slides along what is in its way, a step that is shortened is lost, and another
+    direction is open at once.
 
     A hand whose clutch is released leaves its arm and its gripper as they are. So does a device that is silent for more
     than 80 ms; after 1 s of silence it is given up.
@@ -70,10 +71,12 @@ class Operator:
         mapping: Settings between the hands and the arms.
         timing: Rate of actions.
         action_mode: "tcp_delta", "joint_delta" or "joint_position".
+        action_scale: Factor of steps, as of the environment.
         mounts: Poses of the bases and kinematics of the arms; None: those of the default cell.
-        limits: Motion limits of the task, as far as the cell allows them.
+        limits: Motion limits of the task, as far as the cell allows them, with the joint speeds that steps can command.
         tools: Tools of both arms.
         grippers: An action has an opening for each gripper.
+        view: Concise view that is observed; None: all numbers of the task are.
         clock: Clock by which actions are paced, for a simulation that would run faster than a person can follow; None:
             they are not, since something else keeps the time.
         wait: Sleep of that clock.
@@ -95,10 +98,12 @@ class Operator:
         *,
         timing: Timing,
         action_mode: ActionMode = "tcp_delta",
+        action_scale: ActionScale = 1.0,
         mounts: Sequence[ArmMount] | None = None,
         limits: MotionLimits,
         tools: tuple[Tool, Tool] = DEFAULT_TOOLS,
         grippers: bool = True,
+        view: ConciseView | None = None,
         clock: Callable[[], float] | None = None,
         wait: Callable[[float], None] = time.sleep,
     ) -> None:
@@ -117,7 +122,9 @@ class Operator:
         self._levers_m = levers_m(tools) if grippers else np.zeros((2, 3))
         self._step_rad = np.array(limits.speed_rad_s) * timing.period_s
         self._ahead = 2.0 / (limits.narrowed(JOINT_MARGIN_RAD).brake_rate() * timing.period_s)
-        self._most = FULL_TWIST * timing.period_s
+        scale = scale_of_steps(action_mode, action_scale) if action_mode == "tcp_delta" else 1.0
+        self._most = FULL_TWIST * timing.period_s * scale
+        self._view = view
         self._clock, self._wait, self._due = clock, wait, -math.inf
         self.__name__ = f"operator with {device.name}"  # in results and records
         self._arm = 1 if self.mapping.arms == "right" else 0  # that a device for one hand leads
@@ -153,11 +160,15 @@ class Operator:
         given = observation["state"] if isinstance(observation, Fields) else observation
         state = np.asarray(given, dtype=np.float64)
         one = state.ndim == 1 or (state.ndim == 2 and len(state) == 1)
-        if not one or state.size % 2 or state.size < 2 * _LAYOUT.size:
+        least = _LAYOUT.size if self._view is None else self._view.layout.size
+        if not one or state.size % 2 or state.size < 2 * least:
             raise ActionError(
                 f"an operator leads one cell: found observations of shape {state.shape}. Run one environment at a time"
             )
-        commanded = state.reshape(2, -1)[:, _COMMANDED]
+        if self._view is None:
+            commanded = state.reshape(2, -1)[:, _COMMANDED]
+        else:
+            commanded = self._view.commanded_q_rad(state.reshape(1, -1))[0]
         tools = self._tools(commanded)
         self.tools_m = np.concatenate(tools, axis=1)
         reading = self._routed(self._read())
@@ -272,7 +283,7 @@ class Operator:
     def _action_of_step(self, step: Array, commanded: Array) -> Array:
         """Return the joint part of the action of Cartesian steps, (2, 6), m and rad along the axes of the cell."""
         if self.action_mode == "tcp_delta":
-            share: Array = step / self._most
+            share: Array = self._shortened(step) / self._most
             return share
         in_base = (step.reshape(2, 2, 3) @ self._frames.rotation.swapaxes(-1, -2)).reshape(2, 1, 6)
         goal = np.concatenate(

@@ -43,10 +43,12 @@ def operator_of(device, task, mapping=None, **keywords):
         Mapping(**(mapping or {})),
         timing=setup.timing,
         action_mode=setup.options.action_mode,
+        action_scale=setup.options.action_scale,
         mounts=(setup.config.left, setup.config.right),
-        limits=setup.limits,
+        limits=setup.step_limits,
         tools=equipment.tools,
         grippers=equipment.grippers and not equipment.welded,
+        view=setup.make_task().concise_view() if setup.options.concise else None,
     )
 
 

@@ -48,6 +48,33 @@ def test_both_hands_move_their_tools_at_full_speed_in_every_action_mode(mode):
     assert abs(tools[0, 1, 3:] @ tools[-1, 1, 3:]) == pytest.approx(half, abs=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("keywords", "moved_m"),
+    [
+        ({"action_mode": "tcp_delta", "action_scale": 0.5}, 0.05),
+        ({"action_mode": "tcp_delta", "action_scale": {"translation": 0.1}}, 0.01),
+        ({"action_mode": "joint_delta", "action_scale": 0.5}, 0.05),
+        *(({"action_mode": mode, "observation": "goals"}, 0.05) for mode in MODES),
+    ],
+)
+def test_speeds_do_not_depend_on_the_scale_of_steps_nor_on_the_view(keywords, moved_m):
+    env, operator = led(Hand(**twist(FORWARD)), mapping={"scale": 0.5}, **keywords)
+    tools, _ = run(env, operator, 10)
+    np.testing.assert_allclose(tools[-1, :, :3] - tools[0, :, :3], [[moved_m, 0, 0]] * 2, atol=5e-5)
+
+
+def test_arms_slide_along_what_is_in_their_way_and_are_free_to_leave_it():
+    device = Hand(**twist((0.15, 0, -0.2, 0, 0, 0)))
+    env, operator = led(device, "Free", objects=())
+    table, observation = run(env, operator, 40)  # without a refusal
+    np.testing.assert_allclose(table[-5:, :, 2], table[-1, 0, 2], atol=1e-4)
+    assert (np.diff(table[-5:, :, 0], axis=0) > 0.004).all()  # it goes on along the table
+    device.set(**twist((0, 0, 0.2, 0, 0, 0)))
+    observation, *_ = env.step(operator(observation))
+    operator(observation)
+    assert (operator.tools_m[:, 2] > table[-1, :, 2] + 0.005).all()
+
+
 @pytest.mark.parametrize("mode", MODES)
 def test_a_released_clutch_leaves_arm_and_gripper(mode):
     device = Hand(**twist(FORWARD, clutch=(True, False), gripper=np.zeros(2)))

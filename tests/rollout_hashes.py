@@ -7,6 +7,6 @@ HASHES: dict[tuple[str, str], str] = {
     ("DualUR10/SyncCarry-v0", "4.0"): "6c1c0a42f405285b",
     ("DualUR10/Handover-v0", "3.17"): "01ec7b0a891200ad",
     ("DualUR10/Handover-v0", "4.0"): "01ec7b0a891200ad",
-    ("DualUR10/Free-v0", "3.17"): "35cf80492936a2aa",
-    ("DualUR10/Free-v0", "4.0"): "35cf80492936a2aa",
+    ("DualUR10/Free-v0", "3.17"): "7afa3be63e38b0ac",
+    ("DualUR10/Free-v0", "4.0"): "7afa3be63e38b0ac",
 }

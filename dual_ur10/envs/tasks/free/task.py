@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import ClassVar
+from dataclasses import replace
+from typing import ClassVar, Final
 
 import numpy as np
 
@@ -33,11 +34,13 @@ from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.types import Array, Rows
 
+_NEAR: Final = {1: 0.05, 3: 0.2, 4: 0.5}  # units of the concise view: m of a width, m of a position, of a quaternion
+
 
 def _fields(props: Sequence[Prop]) -> list[Field]:
     """Return the fields of the poses of those props whose poses are not fixed."""
     return [
-        field
+        replace(field, concise=(_NEAR[field.size],))
         for each in props
         if each.posed
         for field in pose_fields(f"{each.name}_base", f"the {each.name}", each.body)
@@ -100,6 +103,17 @@ class Free(Task[FreeSettings, Poses]):
 
     Every object whose pose is not fixed has 7 numbers in the place of those of the block, in the order of `objects`.
 
+    With `observation="goals"` the observation space is a `Box(-1.0, 1.0, (28,), float32)`: 14 numbers of the left arm,
+    then those of the right arm. A value x is shown as x / (u + abs(x)), in the unit u that the table names
+    (`dual_ur10.envs.tasks.observation_layout.ConciseView`). There is no goal: it shows the arms and the objects.
+
+    | Num | Observation | Min | Max | Name (in XML file) | Type (Unit) |
+    |-----|-------------|-----|-----|--------------------|-------------|
+    | 0-5 | commanded joint positions, from home | -1 | 1 | left/shoulder_pan_joint ... left/wrist_3_joint | angle (rad) in 1 |
+    | 6 | opening of the gripper | -1 | 1 | left/finger_1_joint ... left/finger_2_joint | position (m) in 0.05 |
+    | 7-9 | position of the block | -1 | 1 | block/block | position (m) in 0.2 |
+    | 10-13 | orientation of the block | -1 | 1 | block/block | quaternion in 0.5 |
+
     ## Rewards
 
     The reward is 0, and `info["is_success"]` is false. As in every environment a step in which the safety gate brakes
@@ -146,7 +160,7 @@ class Free(Task[FreeSettings, Poses]):
     settings_type: ClassVar[type[FreeSettings]] = FreeSettings
     layout: ObservationLayout = ObservationLayout(
         *ARM_FIELDS,
-        gripper_field(),
+        replace(gripper_field(), concise=(_NEAR[1],)),
         *wrench_fields("object"),
         *_fields([BLOCK]),
         *OTHER_FLANGE_FIELDS,

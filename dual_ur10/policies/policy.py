@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Protocol, cast, runtime_checkable
 
 from dual_ur10.errors import PolicyError
-from dual_ur10.types import Array, Rows
+from dual_ur10.types import Array, Mask, Rows
 
 
 @runtime_checkable
@@ -84,6 +84,15 @@ class EpisodeAware(Protocol):
             rows: (k,) indices of the rows.
             seeds: (k,) seeds of their episodes.
         """
+
+
+@runtime_checkable
+class Commanded(Protocol):
+    """A policy of which a person commands arms."""
+
+    @property
+    def commander(self) -> Mask:
+        """(2,) True for an arm that a person commanded in the last action."""
 
 
 @runtime_checkable

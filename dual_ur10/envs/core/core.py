@@ -137,6 +137,7 @@ class Core:
         weights: Weight of each reward term by its name, that of refusals included.
         threads: Number of threads that step, and that draw observed images.
         late_actions: Number of actions that missed their deadline, so that both arms stopped.
+        commander: (2,) True for an arm that a person commands in the next step, for the record.
     """
 
     def __init__(
@@ -179,6 +180,7 @@ class Core:
         self._state: CellState | None = None
         self._begun = False  # whether an episode ever has
         self.late_actions = 0
+        self.commander: Mask = np.zeros(2, dtype=bool)
         self._sensing = Sensing(config, self._randomization, setup.timing.period_s, n)
         self._plant = config.perturbation.expanded(n)
         record = setup.options.record
@@ -349,7 +351,7 @@ class Core:
         step = Step(agents.joint, reward, terminated, outcome.over, info, verdicts, state.failed, ends, agents)
         self._state = true
         if self._hook is not None:
-            self._hook.step(action, command, step, period, early_end(step.details(0)))
+            self._hook.step(action, command, step, period, early_end(step.details(0)), self.commander)
         return step
 
     def _with_load(self, command: Command) -> Command:

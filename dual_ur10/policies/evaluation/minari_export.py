@@ -35,9 +35,10 @@ def to_minari(
     """Make a Minari dataset of the episodes of runs.
 
     Observations and actions are dicts with the keys "left" and "right", as of `dual_ur10.envs.api.parallel_env`.
-    Rewards are those of both together. `infos` hold `is_success`, `gated` and `time_s`. An episode's metadata hold
-    `ended_by` and its place in the run. `recover_environment` gives an environment with the same spaces, see
-    `dual_ur10.envs.api.agent_dict.AgentDictWrapper`.
+    Rewards are those of both together. `infos` hold `is_success`, `gated` and `time_s`; `commander` of the left and the
+    right arm, 0 the policy and 1 a person; and LeRobot's `intervention`, true while a person commands an arm. An
+    episode's metadata hold `ended_by` and its place in the run. `recover_environment` gives an environment with the
+    same spaces, see `dual_ur10.envs.api.agent_dict.AgentDictWrapper`.
 
     Args:
         runs: One or several, of the same environment.
@@ -162,6 +163,8 @@ def _buffer(minari: Any, core: Core, number: int, episode: Episode) -> Any:
     truncated[-1] |= not episode.terminated[-1]  # an episode that was cut off is truncated
     success = np.zeros(count + 1, dtype=bool)
     success[-1] = bool(episode.success)
+    commander = np.zeros((count + 1, 2), dtype=np.int64)
+    commander[1:] = 0 if episode.commander is None else episode.commander
     return minari.data_collector.EpisodeBuffer(
         id=number,
         seed=episode.seed if episode.seed is not None and episode.seed <= _MOST_SEED else None,
@@ -174,6 +177,8 @@ def _buffer(minari: Any, core: Core, number: int, episode: Episode) -> Any:
             "is_success": success,
             "gated": np.concatenate([[False], episode.gated]),
             "time_s": np.concatenate([[0.0], episode.time_s]),
+            "commander": commander,
+            "intervention": commander.any(axis=1),
         },
     )
 

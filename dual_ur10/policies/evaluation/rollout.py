@@ -11,7 +11,7 @@ import numpy as np
 from dual_ur10.envs.core.ends import early_end
 from dual_ur10.envs.core.options import MOVE_TO_START
 from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.policies.policy import Policy, as_policy
+from dual_ur10.policies.policy import Commanded, Policy, as_policy
 from dual_ur10.types import Array
 
 Info = Mapping[str, Any]
@@ -76,7 +76,7 @@ class Trace:
 
 
 def act(policy: Policy, observation: Any, env: Any, dtype: Any) -> Array:
-    """Return the action of a policy. If it fails, moving arms stop.
+    """Return the action of a policy, and tell the environment who commands. If it fails, moving arms stop.
 
     Args:
         policy: The policy.
@@ -89,7 +89,10 @@ def act(policy: Policy, observation: Any, env: Any, dtype: Any) -> Array:
             the traceback, names the cause and what to do.
     """
     try:
-        return np.asarray(policy(observation), dtype=dtype)
+        action = np.asarray(policy(observation), dtype=dtype)
+        if isinstance(policy, Commanded):
+            env.unwrapped.core.commander = policy.commander
+        return action
     except Exception as error:
         # Real arms must not keep moving without a policy.
         text = env.unwrapped.core.stop(f"the policy failed: {type(error).__name__}: {error}")

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.errors import RecordingError
+from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.recording.run import LATE, Episode
 from dual_ur10.sim2real.recording.schemas import BEGIN, EPISODE_TOPIC, STEP, STEP_TOPIC
 
@@ -119,5 +120,6 @@ def _episode(head: dict[str, Any], steps: list[dict[str, Any]], ticks: int) -> E
         flange_m=all_of("flange_m", 2, 3, begin=True),
         initial_state=head["initial_state"] or None,
         first_target=all_of("first_target", dtype=np.int64),
+        commander=np.stack([all_of(f"{arm}_by_person", dtype=np.bool_) for arm in ARMS], axis=1),
         first_step=first,
     )

@@ -13,7 +13,7 @@ from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.recording.header import plain
 from dual_ur10.sim2real.recording.rows import BeginRow, RunRecorder, StepRow
 from dual_ur10.sim2real.recording.run import LATE
-from dual_ur10.types import Array
+from dual_ur10.types import Array, Mask
 
 
 @runtime_checkable
@@ -73,7 +73,9 @@ class RecordHook:
         if sampled:
             self.recorder.event("drawn", json.dumps(plain(dict(sampled))))
 
-    def step(self, action: object, command: Command, step: Any, period: CellStep, ended_by: str) -> None:
+    def step(
+        self, action: object, command: Command, step: Any, period: CellStep, ended_by: str, commander: Mask
+    ) -> None:
         """Record a step.
 
         Args:
@@ -82,6 +84,7 @@ class RecordHook:
             step: A `dual_ur10.envs.core.core.Step`.
             period: The cell's step, with the true state at its end.
             ended_by: Reason of an early end of the episode; "": there is none.
+            commander: (2,) True for an arm that a person commanded.
         """
         state = period.state
         terminated, truncated = bool(step.terminated[0]), bool(step.truncated[0])
@@ -100,6 +103,7 @@ class RecordHook:
             flange_m=state.flange_m[0],
             observation=step.observation[0],
             first_target=self._first_target(period),
+            commander=commander.copy(),
         )
         self._step += 1
         self.recorder.step(row, period.trace)

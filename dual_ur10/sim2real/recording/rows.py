@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.sim2real.recording.schemas import BEGIN, STEP
-from dual_ur10.types import Array
+from dual_ur10.types import Array, Mask
 
 if TYPE_CHECKING:
     from dual_ur10.sim2real.config.cell import TickTrace
@@ -68,11 +68,14 @@ class StepRow:
     flange_m: Array
     observation: Array | None = None
     first_target: int | None = None
+    commander: Mask = field(default_factory=lambda: np.zeros(2, dtype=bool))
 
     def encode(self, episode: int, step: int) -> bytes:
         """Return the message for step `step` of the run's episode `episode`."""
         values = {
             **self.__dict__,
+            "left_by_person": self.commander[0],
+            "right_by_person": self.commander[1],
             "episode": episode,
             "step": step,
             "success": -1 if self.success is None else int(self.success),

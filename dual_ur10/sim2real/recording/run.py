@@ -154,6 +154,7 @@ class Episode:
         initial_state: MuJoCo's state after the reset; None outside simulation.
         first_target: (m,) number of the first of each step's targets among those that were sent (`ArmLog.sent`,
             "index"); `LATE` where none of them was sent.
+        commander: (m, 2) True for an arm that a person commanded; None: no person did.
         first_step: Number of row 0 in the episode: above 0 in a black box that begins within one.
     """
 
@@ -175,6 +176,7 @@ class Episode:
     flange_m: Array
     initial_state: bytes | None
     first_target: NDArray[np.int64]
+    commander: Mask | None = None
     first_step: int = 0
 
 

@@ -94,6 +94,8 @@ STEP: Final = _schema(
     "float64[] gripper_m",
     "float64[] observation",
     "int64 first_target",
+    "bool left_by_person",
+    "bool right_by_person",
 )
 """Step of an episode: `time_s` on the task's clock; success -1: not known; first_target -1: missed its deadline."""
 

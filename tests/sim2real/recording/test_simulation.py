@@ -228,9 +228,13 @@ def test_episodes_become_a_minari_dataset_with_a_key_per_agent(tmp_path, monkeyp
     pytest.importorskip("h5py")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "datasets"))
     runs = [read_run(recorded(tmp_path, "SineTracking", observation=view)[0]) for _ in range(2)]
+    runs[0].episodes[0].commander[2:5, 1] = True
     to_minari(runs, "ur10/sine/random-v0", author="nobody")
     dataset = minari.load_dataset("ur10/sine/random-v0")
     assert dataset.total_episodes == 4
+    assert dataset[0].infos["commander"].tolist() == [[0, 0]] * 3 + [[0, 1]] * 3 + [[0, 0]] * 3
+    assert dataset[0].infos["intervention"].tolist() == [False] * 3 + [True] * 3 + [False] * 3
+    assert not dataset[1].infos["commander"].any()
     assert set(dataset.observation_space.spaces) == set(dataset.action_space.spaces) == {"left", "right"}
     from dual_ur10.envs.api.parallel_env import parallel_env
 
@@ -299,7 +303,7 @@ def test_an_action_that_missed_its_deadline_is_an_event_and_has_no_target():
         firsts.clear()
         for number in range(4):
             period = CellStep(state, late=number == 2, first_target=begin + 5 * number)
-            hook.step(np.zeros(12), command, step, period, "")
+            hook.step(np.zeros(12), command, step, period, "", np.zeros(2, dtype=bool))
         assert firsts == [begin, begin + 5, LATE, begin + 15]
         ((kind, text),) = events
         assert kind == "late"

@@ -53,6 +53,15 @@ OperatorName = Annotated[
         "spacemouse:left=/dev/hidraw3,right=/dev/hidraw4; keyboard, gamepad, spacemouse, leader, or module:Class.",
     ),
 ]
+TakeoverName = Annotated[
+    str | None,
+    typer.Option(
+        "--takeover",
+        metavar="DEVICE",
+        help="A person takes one arm or both from the policy at any time, and hands them back, with a device as for "
+        "--operator: keys 1, 2, 3 take the left arm, the right one, both; 0 hands back.",
+    ),
+]
 Settings = Annotated[
     list[str] | None,
     typer.Option(
@@ -291,7 +300,7 @@ def check_leader(policy: str, operator: str | None) -> None:
         raise SettingsError(f"--policy {policy} and --operator {operator} do not go together: leave one out")
 
 
-def make_operator(operator: str, env_id: str, keywords: dict[str, Any]) -> Operator:
+def make_operator(operator: str, env_id: str, keywords: dict[str, Any], *, keys: bool = False) -> Operator:
     """Return the operator of an environment, in the time of day.
 
     Raises:
@@ -300,17 +309,26 @@ def make_operator(operator: str, env_id: str, keywords: dict[str, Any]) -> Opera
     from dual_ur10.policies.operators.catalog import load_operator
 
     with wrong_types_named(env_id):
-        return load_operator(operator, env_id, keywords, paced=True)
+        return load_operator(operator, env_id, keywords, paced=True, keys=keys)
 
 
-def make(env: str, policy: str, keywords: dict[str, Any], seed: int, operator: str | None = None) -> tuple[Any, Any]:
-    """Return environment and policy, or the operator, whose device is to be closed.
+def make(
+    env: str,
+    policy: str,
+    keywords: dict[str, Any],
+    seed: int,
+    operator: str | None = None,
+    takeover: str | None = None,
+) -> tuple[Any, Any]:
+    """Return environment and policy, or the operator, whose device is to be closed; or a policy with a takeover.
 
     Raises:
         DualUR10Error: A name or a value is not legal, or a device cannot be opened.
     """
     env_id = env_id_of(env)
     check_leader(policy, operator)
+    if takeover is not None:
+        return _make_takeover(env_id, policy, keywords, seed, operator, takeover)
     if operator is not None:
         person = make_operator(operator, env_id, keywords)
         try:
@@ -327,6 +345,25 @@ def make(env: str, policy: str, keywords: dict[str, Any], seed: int, operator: s
     if policy == "random":
         return made, RandomPolicy(made.action_space, seed=seed)
     return made, ZeroPolicy(made.action_space) if actor is None else actor
+
+
+def _make_takeover(
+    env_id: str, policy: str, keywords: dict[str, Any], seed: int, operator: str | None, device: str
+) -> tuple[Any, Any]:
+    """Return environment and policy with a person who may take over."""
+    from dual_ur10.policies.operators.takeover import Takeover
+
+    if operator is not None:
+        raise SettingsError("--operator leads from the beginning, --takeover takes over from a policy: leave one out")
+    check_name(policy)
+    keywords = with_latency(policy, env_id, keywords)
+    person = make_operator(device, env_id, keywords, keys=True)
+    try:
+        made, actor = make(env_id, policy, keywords, seed)
+        return made, Takeover(actor, person, tell=lambda text: console.print(escape(text), highlight=False))
+    except BaseException:
+        person.close()
+        raise
 
 
 def close(made: Any, actor: Any) -> None:

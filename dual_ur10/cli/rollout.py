@@ -24,6 +24,7 @@ from dual_ur10.cli.options import (
     Record,
     Seed,
     Settings,
+    TakeoverName,
     check_min_success,
     close,
     conclude,
@@ -47,6 +48,7 @@ def rollout(
     env: EnvName,
     policy: PolicyName = "scripted",
     operator: OperatorName = None,
+    takeover: TakeoverName = None,
     episodes: Annotated[int, typer.Option("--episodes", "-n", min=1, help="Number of episodes.")] = 5,
     seed: Seed = 0,
     min_success: MinSuccess = None,
@@ -67,8 +69,10 @@ def rollout(
         power_on(cell)
     if not no_record:
         about = {"policy": f"operator {operator}"} if operator else provenance(policy, env_id_of(env))
+        if takeover:
+            about["policy"] += f", takeover {takeover}"
         record_in(keywords, record, about)
-    made, actor = make(env, policy, keywords, seed, operator)
+    made, actor = make(env, policy, keywords, seed, operator, takeover)
     table = Table(header_style="bold")
     returns, successes = [], 0
     late = 0

@@ -199,12 +199,13 @@ OPEN = []
 class Hand:
     name, hands = "a hand", 2
 
-    def __init__(self, speed=0.0):
-        self.speed = speed
+    def __init__(self, speed=0.0, buttons=""):
+        self.speed, self.buttons = speed, [*str(buttons).split("+"), *[""] * 9999]
         OPEN.append(self)
 
     def read(self):
-        return Reading(twist=np.full((2, 6), self.speed), clutch=np.array([True, True]))
+        pressed = frozenset(filter(None, [self.buttons.pop(0)]))
+        return Reading(twist=np.full((2, 6), self.speed), clutch=np.array([True, True]), buttons=pressed)
 
     def close(self):
         OPEN.remove(self)
@@ -221,6 +222,29 @@ def test_a_person_with_a_device_of_ones_own_acts(command: str, tmp_path: Any, mo
     assert still[1] != led[1]
     code, text = run(command, *arguments, "my_hand:Hand", "--set", "amplitud=1")
     assert (code, "amplitud" in text) == (2, True)
+    assert __import__("my_hand").OPEN == []
+    sys.modules.pop("my_hand")
+
+
+def test_a_person_takes_arms_from_a_policy_and_the_record_says_who_commanded(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from dual_ur10.sim2real.recording.reader import read_run
+
+    (tmp_path / "my_hand.py").write_text(PERSON)
+    monkeypatch.syspath_prepend(tmp_path)
+    hand = "my_hand:Hand:speed=0.05,buttons=+take_left++take_right+hand_back"
+    arguments = ("SineTracking", "-n", "1", "--set", "duration_s=0.2", "--record", str(tmp_path / "runs"))
+    code, text = run("rollout", *arguments, "--takeover", hand)
+    assert code == 0
+    assert "the left arm is taken" in text
+    found = read_run(next((tmp_path / "runs").iterdir()))
+    assert found.episodes[0].commander.tolist() == [[0, 0], [1, 0], [1, 0], [1, 1], [0, 0]]
+    assert found.header.policy.startswith("scripted, takeover my_hand")
+    code, text = run("rollout", *arguments, "--operator", hand)
+    assert read_run(sorted((tmp_path / "runs").iterdir())[-1]).episodes[0].commander.all()
+    assert run("rollout", *arguments, "--takeover", hand, "--operator", hand)[0] == 2
+    assert run("rollout", *arguments, "--takeover", hand, "-p", "psychic")[0] == 2
     assert __import__("my_hand").OPEN == []
     sys.modules.pop("my_hand")
 

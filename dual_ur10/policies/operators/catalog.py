@@ -6,6 +6,7 @@ import ast
 import dataclasses
 import inspect
 import re
+import sys
 import time
 from collections.abc import Mapping as Values
 from typing import Any, Final
@@ -14,6 +15,7 @@ from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError
 from dual_ur10.ids import load_object
 from dual_ur10.policies.operators.device import Device
+from dual_ur10.policies.operators.keyboard import Keyboard, WithKeys
 from dual_ur10.policies.operators.mapping import Mapping
 from dual_ur10.policies.operators.operator import Operator
 from dual_ur10.policies.registry import arguments_of
@@ -114,7 +116,9 @@ def make_device(text: str) -> tuple[Device, Mapping]:
         raise SettingsError(f"the operator's device {text!r} cannot be made: {error}") from error
 
 
-def load_operator(text: str, env_id: str, keywords: Values[str, Any], *, paced: bool = False) -> Operator:
+def load_operator(
+    text: str, env_id: str, keywords: Values[str, Any], *, paced: bool = False, keys: bool = False
+) -> Operator:
     """Return the operator of an environment with these keywords.
 
     Args:
@@ -122,6 +126,7 @@ def load_operator(text: str, env_id: str, keywords: Values[str, Any], *, paced: 
         env_id: Id of the environment.
         keywords: Keywords of the environment.
         paced: Let actions wait for the time of day in a simulation, which else runs faster than a person.
+        keys: Read the buttons from the keyboard of the terminal, too, if there is one.
 
     Raises:
         DualUR10Error: As for `make_device`, or a keyword is not legal.
@@ -132,8 +137,14 @@ def load_operator(text: str, env_id: str, keywords: Values[str, Any], *, paced: 
     clock = time.monotonic if paced and not setup.config.controllers else None
     device, mapping = make_device(text)
     try:
+        if keys and isinstance(device, Device) and not isinstance(device, Keyboard) and _is_terminal():
+            device = WithKeys(device, Keyboard())
         return Operator(device, mapping, clock=clock, view=view, **arguments_of(setup, names))
     except BaseException:
         if isinstance(device, Device):
             device.close()
         raise
+
+
+def _is_terminal() -> bool:
+    return sys.stdin is not None and sys.stdin.isatty()

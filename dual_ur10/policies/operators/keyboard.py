@@ -10,13 +10,14 @@ import termios
 import time
 import tty
 from collections.abc import Callable, Collection
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 
 from dual_ur10.errors import DeviceAbsentError, DeviceUnpluggedError, SettingsError
 from dual_ur10.policies.operators import sdl as _sdl
-from dual_ur10.policies.operators.device import FULL_TWIST, Reading
+from dual_ur10.policies.operators.device import FULL_TWIST, Device, Reading
 from dual_ur10.policies.operators.hands import unplugged
 from dual_ur10.types import Array
 
@@ -103,6 +104,31 @@ class Keyboard:
     def close(self) -> None:
         """See `Device`."""
         self._keys.close()
+
+
+class WithKeys:
+    """Device whose buttons are also on the keyboard of the terminal, which moves nothing.
+
+    Args:
+        device: Device; it is closed with this one.
+        keys: Keyboard.
+    """
+
+    def __init__(self, device: Device, keys: Keyboard) -> None:
+        self.device, self._keys = device, keys
+        self.name, self.hands = device.name, device.hands
+
+    def read(self) -> Reading:
+        """See `Device`."""
+        reading = self.device.read()
+        return replace(reading, buttons=frozenset(reading.buttons) | self._keys.read().buttons)
+
+    def close(self) -> None:
+        """See `Device`."""
+        try:
+            self.device.close()
+        finally:
+            self._keys.close()
 
 
 class _Terminal:

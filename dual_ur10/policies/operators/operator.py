@@ -47,6 +47,7 @@ _TRIES: Final = 8
 _HELD_M_S2: Final = 0.5  # acceleration of a held object, and the same of its rotation
 _HELD_RAD_S2: Final = 1.0
 _TURN: Final = 2.0 * math.pi
+_PICKED_UP: Final = 0.15  # distance of a trigger from its gripper's opening at which they are joined
 
 _LAYOUT: Final = ObservationLayout(*ARM_FIELDS)
 _COMMANDED: Final = _LAYOUT.indices(["commanded_q_rad"])
@@ -85,7 +86,13 @@ class Operator:
         buttons: Names of the buttons pressed since the action before.
         opening: (2,) commanded openings of the grippers, 0 closed to 1 open.
         leads: (2,) True for an arm that a hand led in the last action.
-        tools_m: (2, 7) commanded poses of the tool centre points in the cell frame, of the last observation.
+        commander: (2,) True for an arm that a person commands, led or at rest.
+        commanded_q_rad: (2, 6) joint positions that the last observation shows as commanded.
+        tools_m: (2, 7) poses of the tool centre points there, in the cell frame.
+        step_rad: (6,) largest steps of an arm's joints in a period.
+        on_buttons: Called with the buttons of each reading before hands lead; None: nothing is.
+        asks: A leader too far from its arm is kept in `refusals` instead of an error, and its arm stays.
+        refusals: Reasons why arms did not follow their leaders in the last action, by arm.
 
     Raises:
         SettingsError: The device or a value is not legal.
@@ -120,7 +127,7 @@ class Operator:
         self._frames = Frames(both)
         self._links = np.stack([mount.quat for mount in both])
         self._levers_m = levers_m(tools) if grippers else np.zeros((2, 3))
-        self._step_rad = np.array(limits.speed_rad_s) * timing.period_s
+        self.step_rad: Array = np.array(limits.speed_rad_s) * timing.period_s
         self._ahead = 2.0 / (limits.narrowed(JOINT_MARGIN_RAD).brake_rate() * timing.period_s)
         scale = scale_of_steps(action_mode, action_scale) if action_mode == "tcp_delta" else 1.0
         self._most = FULL_TWIST * timing.period_s * scale
@@ -128,6 +135,9 @@ class Operator:
         self._clock, self._wait, self._due = clock, wait, -math.inf
         self.__name__ = f"operator with {device.name}"  # in results and records
         self._arm = 1 if self.mapping.arms == "right" else 0  # that a device for one hand leads
+        self.on_buttons: Callable[[frozenset[str]], None] | None = None
+        self.asks = False
+        self.commander: Mask = np.ones(2, dtype=bool)
         self.reset()
 
     def reset(self) -> None:
@@ -135,7 +145,10 @@ class Operator:
         self.buttons: frozenset[str] = frozenset()
         self.opening: Array = np.ones(2)
         self.leads: Mask = np.zeros(2, dtype=bool)
+        self.commanded_q_rad: Array = np.zeros((2, 6))
         self.tools_m: Array = np.zeros((2, 7))
+        self.refusals: dict[int, str] = {}
+        self._side: Array = np.zeros(2)  # of a trigger from its gripper's opening; 0: they are joined; NaN: not known
         self.release()
 
     def release(self) -> None:
@@ -144,6 +157,15 @@ class Operator:
         self._held_speed: Array = np.zeros(6)
         self._leader: list[Array | None] = [None, None]  # joint positions before, in the arm's turns
         self._joined = np.zeros(2, dtype=bool)
+
+    def take(self, arm: int, opening: float) -> None:
+        """Begin to command an arm whose gripper has an opening, 0 to 1. A trigger counts once it is there, too."""
+        self.commander[arm], self.opening[arm], self._side[arm] = True, opening, np.nan
+
+    def lead(self, arm: int) -> None:
+        """Lead this arm from now on with a device for one hand."""
+        if self.mapping.arms == "both":
+            self._arm = arm
 
     def close(self) -> None:
         """Close the device. May be called twice."""
@@ -170,11 +192,13 @@ class Operator:
         else:
             commanded = self._view.commanded_q_rad(state.reshape(1, -1))[0]
         tools = self._tools(commanded)
-        self.tools_m = np.concatenate(tools, axis=1)
-        reading = self._routed(self._read())
+        self.commanded_q_rad, self.tools_m, self.refusals = commanded, np.concatenate(tools, axis=1), {}
+        reading = self._read()
+        if self.on_buttons is not None:
+            self.on_buttons(reading.buttons)
+        reading = self._routed(reading)
         self.leads = reading.clutch
-        by_hand = reading.clutch & ~np.isnan(reading.gripper)
-        self.opening = np.where(by_hand, reading.gripper, self.opening)
+        self.opening = np.where(self._pulls(reading), reading.gripper, self.opening)
         self._grip(reading)
         goal = self._goal(reading, commanded, tools)
         action = goal if not self.grippers else np.concatenate([goal, 2.0 * self.opening[:, None] - 1.0], axis=1)
@@ -202,6 +226,16 @@ class Operator:
             return replace(reading, clutch=np.zeros(2, dtype=bool))
         return reading
 
+    def _pulls(self, reading: Reading) -> Mask:
+        """Return a mask, (2,), of the grippers that follow a trigger: the others have none, or it is elsewhere yet."""
+        held = reading.clutch & ~np.isnan(reading.gripper)
+        away = reading.gripper - self.opening
+        side = np.where(np.abs(away) < _PICKED_UP, 0.0, np.sign(away))
+        self._side = np.where(held & np.isnan(self._side), side, self._side)
+        self._side = np.where(held & (side != self._side), 0.0, self._side)
+        followed: Mask = held & (self._side == 0.0)
+        return followed
+
     def _grip(self, reading: Reading) -> None:
         """Open or close grippers by buttons: closed ones open, others close; two that are led together do the same."""
         pressed = np.array(["grip" in reading.buttons or f"grip_{arm}" in reading.buttons for arm in ARMS])
@@ -222,6 +256,8 @@ class Operator:
                     "left or right"
                 )
             first = self._rows(reading, np.array([0, 0]))
+            leads = self.commander if arms == "mirrored" else self.commander.all()
+            first = replace(first, clutch=first.clutch & leads)
             if arms == "mirrored" and reading.twist is not None:
                 return replace(first, twist=reading.twist[0] * np.stack([np.ones(6), MIRRORED]))
             return first
@@ -233,7 +269,7 @@ class Operator:
             leads = np.arange(2) == self._arm
         else:
             leads = np.array([arms in ("both", name) for name in ARMS])
-        return replace(reading, clutch=reading.clutch & leads)
+        return replace(reading, clutch=reading.clutch & leads & self.commander)
 
     @staticmethod
     def _rows(reading: Reading, rows: Any) -> Reading:
@@ -296,9 +332,9 @@ class Operator:
 
     def _action_of_joints(self, step_rad: Array, commanded: Array) -> Array:
         """Return the joint part of the action of joint steps, (2, 6), each arm's as far as one period allows."""
-        share = step_rad / self._step_rad
+        share = step_rad / self.step_rad
         share = share / np.maximum(1.0, np.abs(share).max(axis=1, keepdims=True))
-        goal: Array = commanded + share * self._step_rad
+        goal: Array = commanded + share * self.step_rad
         return goal if self.action_mode == "joint_position" else share
 
     # Leader arms.
@@ -314,7 +350,12 @@ class Operator:
             near = commanded[arm] if before is None else before
             wanted = joints[arm] + _TURN * np.round((near - joints[arm]) / _TURN)
             if before is None:
-                self._check_configuration(arm, wanted, commanded[arm])
+                reason = _unlike(arm, wanted, commanded[arm])
+                if reason and not self.asks:
+                    raise LeaderConfigurationError(reason)
+                if reason:
+                    self.refusals[arm], self.leads = reason, self.leads & (np.arange(2) != arm)
+                    continue
             self._leader[arm] = wanted
             away = wanted - commanded[arm]
             step[arm] = away * self._share
@@ -324,19 +365,9 @@ class Operator:
                 step[arm] *= min(1.0, most / max(float(np.abs(step[arm]).max()), most))
         if self.action_mode != "tcp_delta":
             return self._action_of_joints(step, commanded)
-        share = np.abs(step) / self._step_rad
+        share = np.abs(step) / self.step_rad
         goal = self._tools(commanded + step / np.maximum(1.0, share.max(axis=1, keepdims=True)))
         return self._shortened(np.where(clutch[:, None], _difference(tools, goal), 0.0)) / self._most
-
-    def _check_configuration(self, arm: int, wanted: Array, commanded: Array) -> None:
-        off = np.abs(wanted - commanded)
-        joint = int(off.argmax())
-        if off[joint] > JOINED_WITHIN_RAD:
-            raise LeaderConfigurationError(
-                f"joint {joint + 1} of the leader of the {ARMS[arm]} arm is at {wanted[joint]:.2f} rad, that of the "
-                f"arm at {commanded[joint]:.2f} rad: allowed are {JOINED_WITHIN_RAD:g} rad between them. Put the "
-                "leader into the configuration of its arm; if it is there, check its offsets and signs"
-            )
 
     # One object that both grippers hold.
 
@@ -383,8 +414,21 @@ class Operator:
             goal, reached = try_nearest(place, quat_to_matrix(wanted), q, dh)
             if not reached or fraction_of_step(q[None], (goal - q)[None], self._ahead, dh)[0] < 1.0:
                 return math.inf
-            ratio = max(ratio, float((np.abs(goal - q) / self._step_rad).max()) / _ROOM)
+            ratio = max(ratio, float((np.abs(goal - q) / self.step_rad).max()) / _ROOM)
         return ratio
+
+
+def _unlike(arm: int, wanted: Array, commanded: Array) -> str:
+    """Return the reason why a leader's joints, (6,), cannot be joined to those of its arm; "" if they can."""
+    off = np.abs(wanted - commanded)
+    joint = int(off.argmax())
+    if off[joint] <= JOINED_WITHIN_RAD:
+        return ""
+    return (
+        f"joint {joint + 1} of the leader of the {ARMS[arm]} arm is at {wanted[joint]:.2f} rad, that of the arm at "
+        f"{commanded[joint]:.2f} rad: allowed are {JOINED_WITHIN_RAD:g} rad between them. Put the leader into the "
+        "configuration of its arm; if it is there, check its offsets and signs"
+    )
 
 
 def _required(values: Array | None) -> Array:

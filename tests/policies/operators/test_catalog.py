@@ -1,5 +1,10 @@
 """Operators by name, and the arguments in one text."""
 
+import os
+import pty
+import sys
+import termios
+
 import numpy as np
 import pytest
 
@@ -58,6 +63,26 @@ def test_unknown_arguments_are_named_with_those_that_exist(tmp_path):
         load_operator("fractions:Fraction", "SineTracking", {})
     with pytest.raises(SettingsError, match="cannot be made"):
         make_device("dual_ur10.policies.operators.device:Device")
+
+
+def test_buttons_are_also_keys_of_the_terminal(tmp_path, monkeypatch):
+    own, other = pty.openpty()
+    raw = RawMouse(tmp_path, "mouse")
+    with os.fdopen(other) as terminal:
+        monkeypatch.setattr(sys, "stdin", terminal)
+        before = termios.tcgetattr(other)
+        operator = load_operator(f"spacemouse:path={raw.path}", "SineTracking", {}, keys=True)
+        os.write(own, b"w1")
+        raw.press(1)
+        reading = operator.device.read()
+        assert reading.buttons == {"take_left", "grip"}
+        assert not reading.twist.any()
+        assert (operator.device.hands, operator.device.name) == (1, f"spacemouse at {raw.path}")
+        operator.close()
+        assert termios.tcgetattr(other) == before
+    os.close(own)
+    monkeypatch.setattr(sys, "stdin", None)
+    load_operator(f"spacemouse:path={raw.path}", "SineTracking", {}, keys=True).close()
 
 
 def test_an_operator_knows_its_environment_and_is_paced_in_simulation_alone(tmp_path):

@@ -21,6 +21,7 @@ def command_line() -> str:
     command = typer.main.get_command(app)
     context = typer.Context(command, info_name="dual-ur10")
     text = get_docs_for_click(obj=command, ctx=context, name="dual-ur10", title="Command line")
+    text = re.sub(r"^Example: (.*)$", r"Example: `\1`", text, flags=re.MULTILINE)
     return re.sub(r"\[/?(?:bold|cyan|dim|red|yellow|green)[^\]]*\]|\[/\]", "", text)
 
 

@@ -58,6 +58,8 @@ class Reading:
         joints_rad: (2, 6) joint positions of leader arms, any whole turns off.
         poses: (2, 7) wanted poses of the tool centre points in the cell frame: position (m), quaternion (w, x, y, z).
         gripper: (2,) 0 closed to 1 open; NaN: as it is.
+        triggers: The grippers are those of triggers: after a takeover one counts once it has come to where its gripper
+            is. False: they were just asked for, and count at once.
         clutch: (2,) True while the hand leads.
         buttons: Names of the buttons pressed since the reading before.
         age_s: Age of the newest input. 0 where silence means rest.
@@ -67,6 +69,7 @@ class Reading:
     joints_rad: Array | None = None
     poses: Array | None = None
     gripper: Array = field(default_factory=_unset)
+    triggers: bool = True
     clutch: Mask = field(default_factory=lambda: np.zeros(2, dtype=bool))
     buttons: frozenset[str] = frozenset()
     age_s: float = 0.0
@@ -132,6 +135,7 @@ def checked(reading: Reading, name: str) -> Reading:
     return Reading(
         **{given[0]: np.where(clutch[:, None], values, 0.0)},
         gripper=np.where(clutch, gripper, np.nan),
+        triggers=bool(reading.triggers),
         clutch=clutch,
         buttons=_buttons(reading.buttons, name),
         age_s=float(reading.age_s),

@@ -228,7 +228,9 @@ class Operator:
 
     def _pulls(self, reading: Reading) -> Mask:
         """Return a mask, (2,), of the grippers that follow a trigger: the others have none, or it is elsewhere yet."""
-        held = reading.clutch & ~np.isnan(reading.gripper)
+        held: Mask = reading.clutch & ~np.isnan(reading.gripper)
+        if not reading.triggers:
+            return held
         away = reading.gripper - self.opening
         side = np.where(np.abs(away) < _PICKED_UP, 0.0, np.sign(away))
         self._side = np.where(held & np.isnan(self._side), side, self._side)

@@ -109,6 +109,11 @@ class ServojPipeline:
             self.gate.reset(last[rest], refused[rest])
 
     @property
+    def commanded_widths_m(self) -> Array:
+        """Gripper widths released last, (n, 2)."""
+        return self._widths.copy()
+
+    @property
     def clipped_actions(self) -> int:
         """Number of actions so far that were clipped to the action space."""
         return self.adapter.clipped_actions

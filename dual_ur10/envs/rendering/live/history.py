@@ -1,0 +1,106 @@
+"""Series of a live page's plots, from the rows of the program and the records of both senders."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from dual_ur10.envs.rendering.live.memory import Row
+from dual_ur10.sim2real.runtime.arm_memory import ArmMemory
+from dual_ur10.types import Array
+
+SHOWN_S: Final = 20.0
+"""Time that a plot shows."""
+
+_MOST: Final = 1000
+
+
+class Point(NamedTuple):
+    """One instant of all plots.
+
+    Attributes:
+        at_s: Time on the system's clock.
+        error_mrad: Largest tracking error of a joint of each arm.
+        speed: Largest ratio of a joint's commanded speed to its limit, of each arm.
+        spare_mm: Smallest distance above the smallest legal one.
+        late_ms: Largest delay: of a step, or of sending a target to controllers.
+        skew_ms: Largest difference between the sending times of both arms' targets of one period.
+    """
+
+    at_s: float
+    error_mrad: tuple[float, float]
+    speed: tuple[float, float]
+    spare_mm: float
+    late_ms: float
+    skew_ms: float
+
+
+class Sending:
+    """Delays of sending targets to two controllers.
+
+    Args:
+        memories: Memories of both arms.
+    """
+
+    def __init__(self, memories: tuple[ArmMemory, ArmMemory]) -> None:
+        self._memories = memories
+        self._seen = [memory.sent_count for memory in memories]
+        self._unmatched: list[dict[int, float]] = [{}, {}]
+
+    def read(self) -> tuple[float, float]:
+        """Return the largest delay and the largest skew since the last call, ms; NaN: nothing was sent."""
+        late = math.nan
+        for arm, memory in enumerate(self._memories):
+            sent, self._seen[arm] = memory.sent(self._seen[arm])
+            if len(sent.late_s):
+                late = float(np.fmax(late, 1e3 * sent.late_s.max()))
+            self._unmatched[arm].update(zip(sent.period.astype(int).tolist(), sent.sent_s.tolist(), strict=True))
+        left, right = self._unmatched
+        both = left.keys() & right.keys()
+        skew = max((1e3 * abs(left[each] - right[each]) for each in both), default=math.nan)
+        newest = max((*both, -1))
+        self._unmatched = [{period: at for period, at in each.items() if period > newest} for each in (left, right)]
+        return late, skew
+
+
+class History:
+    """Points of the last seconds.
+
+    Args:
+        speed_rad_s: (2, 6) speed limits of the joints.
+    """
+
+    def __init__(self, speed_rad_s: Array) -> None:
+        self._limits = np.asarray(speed_rad_s, dtype=np.float64)
+        self._points: deque[Point] = deque(maxlen=_MOST)
+        self._last: Row | None = None
+
+    def add(self, rows: Sequence[Row], late_ms: float = math.nan, skew_ms: float = math.nan) -> None:
+        """Add rows of the program, and the delays of sending meanwhile."""
+        for row in rows:
+            scalars, last = row.scalars, self._last
+            speed = (math.nan, math.nan)
+            if last is not None and scalars["episode"] == last.scalars["episode"]:
+                passed_s = scalars["time_s"] - last.scalars["time_s"]
+                if passed_s > 0.0:
+                    ratios = np.abs(row.commanded_rad - last.commanded_rad) / passed_s / self._limits
+                    left, right = ratios.max(axis=1).tolist()
+                    speed = left, right
+            error_left, error_right = (1e3 * np.abs(row.commanded_rad - row.q_rad).max(axis=1)).tolist()
+            late = 1e3 * scalars["late_s"] if math.isnan(late_ms) else late_ms
+            spare_mm = 1e3 * scalars["spare_m"]
+            self._points.append(Point(scalars["at_s"], (error_left, error_right), speed, spare_mm, late, skew_ms))
+            self._last = row
+
+    def series(self, now_s: float) -> list[Array]:
+        """Return arrays of one length: age (s, negative), then each number of a `Point` in its order."""
+        points = [each for each in self._points if each.at_s > now_s - SHOWN_S]
+        rows = [
+            (each.at_s - now_s, *each.error_mrad, *each.speed, each.spare_mm, each.late_ms, each.skew_ms)
+            for each in points
+        ]
+        return list(np.array(rows, dtype=np.float64).reshape(-1, 8).T)

@@ -1,0 +1,97 @@
+"""Environment whose resets and steps a live page shows."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import gymnasium as gym
+import numpy as np
+
+from dual_ur10.envs.rendering.live.live_page import LivePage
+from dual_ur10.envs.rendering.live.memory import COMMANDERS
+from dual_ur10.kinematics.ur10 import ARMS
+from dual_ur10.types import Array
+
+OPEN: Final = "open, arms may move"
+"""Text of a latch that stops nothing."""
+
+
+class Shown(gym.Wrapper[Any, Any, Any, Any]):
+    """Wrapper that writes the state after each reset and step for a page. It changes nothing else.
+
+    Args:
+        env: Environment of one cell.
+        page: The page.
+        leaders: (2,) numbers in `COMMANDERS` of who leads each arm.
+
+    Attributes:
+        leaders: As above; the program may change it.
+        words: Lines of the page that the program adds.
+        latch: Line of the latch; "": the page reads that of controllers itself.
+        state: Addition to the line of the episode, such as "paused".
+        late_s: Delay of the next step that the program knows of; NaN: unknown.
+        episode: Number of the running episode, from 0; -1: none has begun.
+        steps: Steps taken in it.
+    """
+
+    def __init__(self, env: Any, page: LivePage, leaders: tuple[int, int] = (1, 1)) -> None:
+        super().__init__(env)
+        self._page, self._core = page, env.unwrapped.core
+        self.leaders: Array = np.array(leaders)
+        config = self._core.config
+        self.words = {"arms": f"{config.kind} cell, commanded" if config.controllers else "simulation"}
+        if config.controllers:
+            page.attach(self._core.cell)
+        self.latch = "" if config.controllers else OPEN
+        self.state = ""
+        self.late_s = np.nan
+        self.episode, self.steps = -1, 0
+        self._return = 0.0
+        self._gate = ""
+        self._info: dict[str, Any] = {}
+
+    def reset(self, **arguments: Any) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode; see `gymnasium.Env.reset`."""
+        observation, info = self.env.reset(**arguments)
+        self.episode, self.steps, self._return = self.episode + 1, 0, 0.0
+        self._gate, self._info = "releases all", info
+        self._show({})
+        return observation, info
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Advance one control period; see `gymnasium.Env.step`."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        self.steps, self._return, self._info = self.steps + 1, self._return + float(reward), info
+        if "safety" in info:
+            self._gate = f"REFUSED at step {self.steps}: {info['safety']}"
+        self._show({"gated": "safety" in info, "reward": float(reward), "success": bool(info["is_success"])})
+        return observation, reward, terminated, truncated, info
+
+    def _show(self, scalars: dict[str, float]) -> None:
+        """Write the record of a reset or a step."""
+        found = {
+            "gated": False,
+            "reward": 0.0,
+            "success": False,
+            **scalars,
+            "time_s": self.steps * self._core.timing.period_s,
+            "episode": self.episode,
+            "step": self.steps,
+            "late_s": self.late_s,
+            "left_commander": self.leaders[0],
+            "right_commander": self.leaders[1],
+        }
+        self._page.show(self._core, self._info["q_rad"], found)
+        self.say()
+
+    def say(self) -> None:
+        """Write the state in words."""
+        stage = f", stage {int(self._info['stage'])}" if "stage" in self._info else ""
+        state = f", {self.state}" if self.state else ""
+        found = {**self.words, "episode": f"{self.episode}, step {self.steps}{stage}, return {self._return:.2f}{state}"}
+        for arm, who in zip(ARMS, self.leaders.tolist(), strict=True):
+            found[f"{arm} arm"] = f"led by {'the ' * (COMMANDERS[who] != 'nobody')}{COMMANDERS[who]}"
+        found["gate"] = self._gate + (", leads along what is in the way" if self._info.get("led", False) else "")
+        if self.latch:
+            found["latch"] = self.latch
+        self._page.say(found)

@@ -85,6 +85,8 @@ def evaluate(
     if not no_record and (record is not None or cell is not None):
         keywords.setdefault("record", str(record or RUNS))
     check_leader(policy, operator)
+    if operator is not None and operator.partition(":")[0] == "page":
+        raise SettingsError("evaluate shows no page: use rollout, view or live with --operator page")
     envs = envs if cell is None and "record" not in keywords and operator is None else 1
     check_min_success(min_success)
     targets = [path for path in (json, csv) if path is not None]

@@ -50,7 +50,8 @@ OperatorName = Annotated[
         "--operator",
         metavar="DEVICE",
         help="A person leads the arms instead of a policy, with a device and its arguments, such as "
-        "spacemouse:left=/dev/hidraw3,right=/dev/hidraw4; keyboard, gamepad, spacemouse, leader, or module:Class.",
+        "spacemouse:left=/dev/hidraw3,right=/dev/hidraw4; keyboard, gamepad, spacemouse, leader, page, or "
+        "module:Class.",
     ),
 ]
 TakeoverName = Annotated[
@@ -330,11 +331,14 @@ def make(
     if takeover is not None:
         return _make_takeover(env_id, policy, keywords, seed, operator, takeover)
     if operator is not None:
-        person = make_operator(operator, env_id, keywords)
+        person, made = make_operator(operator, env_id, keywords), None
         try:
             with wrong_types_named(env_id):
-                return gym.make(env_id, **keywords), person
+                made = gym.make(env_id, **keywords)
+            return shown(made, person), person
         except BaseException:
+            if made is not None:
+                made.close()
             person.close()
             raise
     check_name(policy)
@@ -357,13 +361,29 @@ def _make_takeover(
         raise SettingsError("--operator leads from the beginning, --takeover takes over from a policy: leave one out")
     check_name(policy)
     keywords = with_latency(policy, env_id, keywords)
-    person = make_operator(device, env_id, keywords, keys=True)
+    person, made = make_operator(device, env_id, keywords, keys=True), None
     try:
         made, actor = make(env_id, policy, keywords, seed)
-        return made, Takeover(actor, person, tell=lambda text: console.print(escape(text), highlight=False))
+        actor = Takeover(actor, person, tell=lambda text: console.print(escape(text), highlight=False))
+        return shown(made, person), actor
     except BaseException:
+        if made is not None:
+            made.close()
         person.close()
         raise
+
+
+def shown(made: Any, person: Operator) -> Any:
+    """Return an environment, shown by the page of its operator, once a browser has opened it; or as it is."""
+    from dual_ur10.envs.rendering.live.shown import Shown
+    from dual_ur10.policies.operators.page import PageDevice
+
+    if not isinstance(person.device, PageDevice):
+        return made
+    page = person.device.page
+    console.print(f"open the page to begin: {page.url}", soft_wrap=True, highlight=False, markup=False)
+    page.wait_until_open()
+    return Shown(made, page)
 
 
 def close(made: Any, actor: Any) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from typing import Annotated
 
-import numpy as np
 import typer
 
 from dual_ur10.cli.options import (
@@ -32,6 +31,8 @@ def view(
     perturbed: Perturbed = False,
 ) -> None:
     """Watch a policy or an operator in real time, in a window or, without a display, in a browser on this machine."""
+    from dual_ur10.policies.evaluation.rollout import act
+
     keywords = keywords_of(settings, perturbed)
     made, actor = make(env, policy, {**keywords, "render_mode": "human"}, seed, operator)
     period_s = made.unwrapped.core.timing.period_s
@@ -44,8 +45,7 @@ def view(
         console.print("Ctrl-C ends it", style="dim")
         begun = due = time.monotonic()
         while viewer.is_running() and (seconds is None or due - begun < seconds):
-            action = np.asarray(actor(observation), dtype=made.action_space.dtype)
-            observation, _, terminated, truncated, _ = made.step(action)
+            observation, _, terminated, truncated, _ = made.step(act(actor, observation, made, made.action_space.dtype))
             if terminated or truncated:
                 observation, _ = made.reset()
                 actor.reset()

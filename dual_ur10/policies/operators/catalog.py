@@ -18,6 +18,7 @@ from dual_ur10.policies.operators.device import Device
 from dual_ur10.policies.operators.keyboard import Keyboard, WithKeys
 from dual_ur10.policies.operators.mapping import Mapping
 from dual_ur10.policies.operators.operator import Operator
+from dual_ur10.policies.operators.page import PageDevice
 from dual_ur10.policies.registry import arguments_of
 
 _HERE: Final = "dual_ur10.policies.operators"
@@ -27,12 +28,13 @@ DEVICES: Final = {
     "gamepad": f"{_HERE}.gamepad:Gamepad",
     "spacemouse": f"{_HERE}.spacemouse:SpaceMouse",
     "leader": f"{_HERE}.leader:Leader",
+    "page": f"{_HERE}.page:page_device",
 }
-"""Classes of devices, "module:Class", by name."""
+"""Classes of devices, or functions that make them, "module:Class", by name."""
 
 _OWN: Final = re.compile(r"([^\W\d][\w.]*:[^\W\d]\w*)(?::(.*))?", re.DOTALL)
 _OF_MAPPING: Final = tuple(each.name for each in dataclasses.fields(Mapping))
-_NOT_TEXT: Final = ("clock", "file")  # arguments of devices that only programs give
+_NOT_TEXT: Final = ("clock", "file", "setup", "takes")  # arguments of devices that only programs give
 
 
 def device_class(text: str) -> tuple[str, str]:
@@ -88,11 +90,13 @@ def _number(text: str) -> Any:
     return value if isinstance(value, int | float) else text
 
 
-def make_device(text: str) -> tuple[Device, Mapping]:
+def make_device(text: str, setup: EnvSetup | None = None, *, takes: bool = False) -> tuple[Device, Mapping]:
     """Return a device, opened, and the mapping of its operator.
 
     Args:
         text: As for `device_class`. Arguments are those of the device's class and of `Mapping`.
+        setup: The environment, for a class that takes it as its argument `setup`.
+        takes: Its buttons take over arms and hand them back, for a class that takes it as its argument `takes`.
 
     Raises:
         UnknownNameError: There is no such device or argument.
@@ -105,15 +109,45 @@ def make_device(text: str) -> tuple[Device, Mapping]:
     given = arguments_in(rest)
     mapping = Mapping(**{name: given.pop(name) for name in _OF_MAPPING if name in given})
     try:
-        known = [name for name in inspect.signature(factory).parameters if name not in _NOT_TEXT]
+        taken = inspect.signature(factory).parameters
+        known = [name for name in taken if name not in _NOT_TEXT]
         unknown = next((name for name in given if name not in known), None)
         if unknown is not None:
             raise UnknownNameError(f"argument of the operator {text.split(':')[0]}", unknown, [*known, *_OF_MAPPING])
-        return factory(**given), mapping
+        context = {"setup": setup, "takes": takes}
+        return factory(**given, **{name: value for name, value in context.items() if name in taken}), mapping
     except DualUR10Error:
         raise
     except (TypeError, ValueError) as error:
         raise SettingsError(f"the operator's device {text!r} cannot be made: {error}") from error
+
+
+def operator_with(
+    device: Device, setup: EnvSetup, mapping: Mapping | None = None, *, paced: bool = False, keys: bool = False
+) -> Operator:
+    """Return the operator of an environment with a device.
+
+    Args:
+        device: The device.
+        setup: The environment.
+        mapping: Settings between hands and arms.
+        paced: Let actions wait for the time of day in a simulation, which else runs faster than a person can follow.
+        keys: Read the buttons from the keyboard of the terminal, too, if there is one and the device has none for them.
+
+    Raises:
+        SettingsError: It is no device.
+    """
+    names = ("timing", "action_mode", "action_scale", "mounts", "limits", "tools", "grippers")
+    view = setup.make_task().concise_view() if setup.options.concise else None
+    clock = time.monotonic if paced and not setup.config.controllers else None
+    try:
+        if keys and isinstance(device, Device) and not isinstance(device, Keyboard | PageDevice) and _is_terminal():
+            device = WithKeys(device, Keyboard())
+        return Operator(device, mapping, clock=clock, view=view, **arguments_of(setup, names))
+    except BaseException:
+        if isinstance(device, Device):
+            device.close()
+        raise
 
 
 def load_operator(
@@ -125,25 +159,15 @@ def load_operator(
         text: As for `make_device`.
         env_id: Id of the environment.
         keywords: Keywords of the environment.
-        paced: Let actions wait for the time of day in a simulation, which else runs faster than a person.
-        keys: Read the buttons from the keyboard of the terminal, too, if there is one.
+        paced: As for `operator_with`.
+        keys: Buttons take over arms and hand them back; see `operator_with`.
 
     Raises:
         DualUR10Error: As for `make_device`, or a keyword is not legal.
     """
     setup = EnvSetup.resolve(env_id, keywords, ignore_unknown=True)
-    names = ("timing", "action_mode", "action_scale", "mounts", "limits", "tools", "grippers")
-    view = setup.make_task().concise_view() if setup.options.concise else None
-    clock = time.monotonic if paced and not setup.config.controllers else None
-    device, mapping = make_device(text)
-    try:
-        if keys and isinstance(device, Device) and not isinstance(device, Keyboard) and _is_terminal():
-            device = WithKeys(device, Keyboard())
-        return Operator(device, mapping, clock=clock, view=view, **arguments_of(setup, names))
-    except BaseException:
-        if isinstance(device, Device):
-            device.close()
-        raise
+    device, mapping = make_device(text, setup, takes=keys)
+    return operator_with(device, setup, mapping, paced=paced, keys=keys)
 
 
 def _is_terminal() -> bool:

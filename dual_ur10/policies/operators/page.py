@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -13,7 +13,6 @@ from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.rendering.live.guard import PORT
 from dual_ur10.envs.rendering.live.live_page import LivePage
 from dual_ur10.envs.rendering.live.page import About
-from dual_ur10.envs.rendering.live.shown import Shown
 from dual_ur10.errors import DeviceUnpluggedError, SettingsError, UnknownNameError
 from dual_ur10.policies.operators.device import Reading
 from dual_ur10.sim2real.processes.system import LOCAL, System
@@ -22,6 +21,9 @@ CAMERAS: Final = "front"
 """Camera that a page shows by default."""
 
 NO_CAMERAS: Final = "none"
+
+TAKES: Final = ("take_left", "take_right", "take_both", "hand_back")
+"""Buttons that take over arms and hand them back."""
 
 
 class PageDevice:
@@ -60,10 +62,6 @@ class PageDevice:
             triggers=False,
             buttons=frozenset(self.page.pressed()),
         )
-
-    def shown(self, env: Any) -> Shown:
-        """Return an environment of one cell that the page shows."""
-        return Shown(env, self.page)
 
     def close(self) -> None:
         """End the page. May be called twice."""
@@ -111,13 +109,14 @@ def open_page(
     return LivePage(about, port=port, system=system)
 
 
-def page_device(setup: EnvSetup, port: int = PORT, cameras: str = CAMERAS) -> PageDevice:
+def page_device(setup: EnvSetup, port: int = PORT, cameras: str = CAMERAS, *, takes: bool = False) -> PageDevice:
     """Start a page of handles for the operator of an environment, and wait until it serves.
 
     On controllers it has the button that stops both arms.
 
     Args:
         setup: The environment.
+        takes: It has the buttons that take over arms and hand them back.
         port: As for `open_page`.
         cameras: As for `open_page`.
 
@@ -128,6 +127,7 @@ def page_device(setup: EnvSetup, port: int = PORT, cameras: str = CAMERAS) -> Pa
     """
     if isinstance(port, bool) or not isinstance(port, int) or not 0 <= port < 2**16:
         raise SettingsError(f"port is {port!r}: it must be a whole number from 0 to 65535")
-    page = open_page(setup, ("stop",) if setup.config.controllers else (), port=port, cameras=str(cameras))
+    buttons = (*(("stop",) if setup.config.controllers else ()), *(TAKES if takes else ()))
+    page = open_page(setup, buttons, port=port, cameras=str(cameras))
     page.wait_until_ready()
     return PageDevice(page)

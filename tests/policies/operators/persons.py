@@ -6,11 +6,12 @@ import gymnasium as gym
 import numpy as np
 
 from dual_ur10 import policies
+from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply
 from dual_ur10.policies.operators.device import FULL_TWIST
 from dual_ur10.policies.operators.leader import Leader
 from dual_ur10.policies.operators.spacemouse import SpaceMouse
 from tests.policies.operators.hands import Hand, commanded, operator_of, twist
-from tests.policies.operators.rigs import RawLeader, RawMouse
+from tests.policies.operators.rigs import RawLeader, RawMouse, RawPage
 
 LEAST = 0.004  # of full speed: smaller steps are no deflection of the cap
 
@@ -95,7 +96,34 @@ class LeaderPerson:
             chain.close()
 
 
-PERSONS = {"spacemouse": MousePerson, "leader": LeaderPerson}
+class PagePerson:
+    """Person at the live page, who drags both handles to where the tools are to go, and presses open and close."""
+
+    mode = "tcp_delta"
+
+    def __init__(self, folder, task, **keywords):
+        self._plan = policies.load("scripted", f"DualUR10/{task}-v0", action_mode="tcp_delta", **keywords)
+        self._eye = operator_of(Hand(**twist(*[0] * 6)), task, action_mode="tcp_delta", **keywords)
+        self._page = RawPage(task, **keywords)
+        self.device = self._page.device
+
+    def begin(self, observation):
+        self._plan.reset()
+
+    def move(self, observation):
+        actions = self._plan(observation).reshape(2, -1).astype(float)
+        tools = self._eye._tools(commanded(observation))
+        # The arm takes three quarters of the way in each period: the hand goes that much farther.
+        way = actions[:, :6] * FULL_TWIST * self._eye.timing.period_s / self._eye._share
+        turned = quat_multiply(quat_from_rotvec(way[:, 3:]), tools.quat)
+        opening = (actions[:, 6] + 1) / 2 if actions.shape[1] > 6 else np.full(2, np.nan)
+        self._page.drag(np.concatenate([tools.position_m + way[:, :3], turned], axis=1), [True, True], opening)
+
+    def close(self):
+        self._page.close()
+
+
+PERSONS = {"spacemouse": MousePerson, "leader": LeaderPerson, "page": PagePerson}
 
 
 def finished(person, env, operator, observation):

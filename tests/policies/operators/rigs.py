@@ -1,4 +1,4 @@
-"""Devices of tests below the classes of devices: raw reports, and a chain of servos on a pseudo terminal."""
+"""Devices of tests below the classes of devices: raw reports, servos on a pseudo terminal, a page's shared memory."""
 
 import fcntl
 import os
@@ -7,11 +7,18 @@ import select
 import struct
 import threading
 import tty
+import types
 
 import numpy as np
 
+from dual_ur10.envs.core.setup import EnvSetup
+from dual_ur10.envs.rendering.live.memory import Handles
 from dual_ur10.policies.operators import dynamixel
 from dual_ur10.policies.operators.device import FULL_TWIST
+from dual_ur10.policies.operators.page import PageDevice, open_page
+from dual_ur10.sim2real.processes.system import LOCAL
+
+FOREVER_S = 1e9
 
 
 class RawMouse:
@@ -110,3 +117,43 @@ class RawLeader:
         self._thread.join()
         os.close(self._own)
         os.close(self._other)
+
+
+class _Process:
+    """Process of a page that serves nobody."""
+
+    is_alive = True
+    pid = 0
+
+    def wait(self, within_s):
+        return True
+
+
+def serving_nobody():
+    """Return a system whose processes do nothing."""
+    return types.SimpleNamespace(clock=LOCAL.clock, pid=0, spawn=lambda *_, **__: _Process())
+
+
+class RawPage:
+    """Live page without its process: what a browser would send is written into the memory that both share."""
+
+    def __init__(self, task, buttons=(), **keywords):
+        setup = EnvSetup.resolve(task, keywords)
+        self.page = open_page(setup, buttons, port=0, cameras="none", system=serving_nobody())
+        self.page.memory.enter_ready({"url": "http://127.0.0.1/"})
+        self.page.memory.beat(LOCAL.clock.now_s() + FOREVER_S)
+        self.device = PageDevice(self.page)
+
+    @property
+    def words(self):
+        return self.page.memory.words
+
+    def drag(self, poses, clutch, gripper=(np.nan, np.nan)):
+        self.page.memory.put_handles(Handles(np.array(poses), np.array(clutch), np.array(gripper), 0.0))
+
+    def press(self, *names):
+        for name in names:
+            self.page.memory.press(name)
+
+    def close(self):
+        self.page.close()

@@ -10,7 +10,6 @@ import numpy as np
 from dual_ur10.envs.rendering.live.live_page import LivePage
 from dual_ur10.envs.rendering.live.memory import COMMANDERS
 from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.types import Array
 
 OPEN: Final = "open, arms may move"
 """Text of a latch that stops nothing."""
@@ -22,10 +21,9 @@ class Shown(gym.Wrapper[Any, Any, Any, Any]):
     Args:
         env: Environment of one cell.
         page: The page.
-        leaders: (2,) numbers in `COMMANDERS` of who leads each arm.
+        other: Who leads an arm that no person commands, of `COMMANDERS`.
 
     Attributes:
-        leaders: As above; the program may change it.
         words: Lines of the page that the program adds.
         latch: Line of the latch; "": the page reads that of controllers itself.
         state: Addition to the line of the episode, such as "paused".
@@ -34,10 +32,9 @@ class Shown(gym.Wrapper[Any, Any, Any, Any]):
         steps: Steps taken in it.
     """
 
-    def __init__(self, env: Any, page: LivePage, leaders: tuple[int, int] = (1, 1)) -> None:
+    def __init__(self, env: Any, page: LivePage, other: str = "policy") -> None:
         super().__init__(env)
-        self._page, self._core = page, env.unwrapped.core
-        self.leaders: Array = np.array(leaders)
+        self._page, self._core, self._other = page, env.unwrapped.core, other
         config = self._core.config
         self.words = {"arms": f"{config.kind} cell, commanded" if config.controllers else "simulation"}
         if config.controllers:
@@ -69,6 +66,7 @@ class Shown(gym.Wrapper[Any, Any, Any, Any]):
 
     def _show(self, scalars: dict[str, float]) -> None:
         """Write the record of a reset or a step."""
+        left, right = map(COMMANDERS.index, self._leaders)
         found = {
             "gated": False,
             "reward": 0.0,
@@ -78,19 +76,23 @@ class Shown(gym.Wrapper[Any, Any, Any, Any]):
             "episode": self.episode,
             "step": self.steps,
             "late_s": self.late_s,
-            "left_commander": self.leaders[0],
-            "right_commander": self.leaders[1],
+            "left_commander": left,
+            "right_commander": right,
         }
         self._page.show(self._core, self._info["q_rad"], found)
         self.say()
+
+    @property
+    def _leaders(self) -> list[str]:
+        return ["operator" if person else self._other for person in self._core.commander.tolist()]
 
     def say(self) -> None:
         """Write the state in words."""
         stage = f", stage {int(self._info['stage'])}" if "stage" in self._info else ""
         state = f", {self.state}" if self.state else ""
         found = {**self.words, "episode": f"{self.episode}, step {self.steps}{stage}, return {self._return:.2f}{state}"}
-        for arm, who in zip(ARMS, self.leaders.tolist(), strict=True):
-            found[f"{arm} arm"] = f"led by {'the ' * (COMMANDERS[who] != 'nobody')}{COMMANDERS[who]}"
+        for arm, who in zip(ARMS, self._leaders, strict=True):
+            found[f"{arm} arm"] = f"led by {'the ' * (who != 'nobody')}{who}"
         found["gate"] = self._gate + (", leads along what is in the way" if self._info.get("led", False) else "")
         if self.latch:
             found["latch"] = self.latch

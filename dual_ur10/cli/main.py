@@ -17,6 +17,7 @@ from dual_ur10.cli.emulate import emulate
 from dual_ur10.cli.evaluate import evaluate
 from dual_ur10.cli.follow import follow, follow_points, follow_serial
 from dual_ur10.cli.list import list_environments
+from dual_ur10.cli.live import live
 from dual_ur10.cli.new_task import new_task
 from dual_ur10.cli.options import console, errors, example_of
 from dual_ur10.cli.records import compare, fit, replay
@@ -84,6 +85,7 @@ _COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
         "list": list_environments,
         "demo --quick": demo,
         "view Handover --policy learned": view,
+        "live Handover --policy scripted": live,
         "rollout Handover --episodes 3 --set randomization=mild": rollout,
         "evaluate SineTracking --policy learned --randomization mild --json sine.json": evaluate,
         "new-task PegInsertion": new_task,

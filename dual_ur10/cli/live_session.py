@@ -1,0 +1,227 @@
+"""Loops of the command `live`: one that moves arms, and one that watches controllers."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from dual_ur10.envs.core.options import MOVE_TO_START
+from dual_ur10.envs.rendering.live.live_page import LivePage
+from dual_ur10.envs.rendering.live.shown import OPEN, Shown
+from dual_ur10.errors import CellFaulted, RenderError
+from dual_ur10.policies.evaluation.rollout import act
+from dual_ur10.policies.operators.page import PageDevice
+from dual_ur10.policies.operators.takeover import Takeover
+from dual_ur10.sim2real.links.arm_status import mode_name, stop_reason
+from dual_ur10.sim2real.protocol.modes import RobotMode, SafetyMode
+from dual_ur10.types import Array
+
+if TYPE_CHECKING:
+    from dual_ur10.cli.status_view import StatusView
+    from dual_ur10.policies.operators.operator import Operator
+
+_GONE: Final = "the live page is gone: its process has ended"
+_WATCH_S: Final = 0.04
+_IDLE_S: Final = 0.02
+_DROPPED_S: Final = 0.5  # a delay of a simulation beyond this is not made up for
+
+
+class LiveSession:
+    """Loop that steps an environment, led by a policy, an operator, or both, and shows it.
+
+    Args:
+        env: Environment of one cell.
+        policy: Policy; None: nobody but the operator leads.
+        operator: Operator, who takes arms from the policy if there is one; None: nobody takes an arm.
+        page: The page.
+        seed: Seed of the first episode.
+
+    Attributes:
+        shown: The environment as the page shows it.
+    """
+
+    def __init__(self, env: Any, policy: Any | None, operator: Operator | None, page: LivePage, seed: int) -> None:
+        self.shown = Shown(env, page, "nobody" if policy is None else "policy")
+        self._page, self._operator = page, operator
+        self._device = PageDevice(page) if operator is None else operator.device
+        self._core = env.unwrapped.core
+        self._actor = policy if operator is None else operator if policy is None else Takeover(policy, operator)
+        self._controllers = bool(self._core.config.controllers)
+        self._period_s = self._core.timing.period_s
+        self._seed = seed
+        self._observation: Any = None
+        self._over = ""
+        self._stopped = ""
+        self._paused = False
+        self._single = False
+
+    def run(self, seconds: float | None) -> None:
+        """Run until the time is over, or Ctrl-C.
+
+        Raises:
+            RenderError: The page's process has ended. On controllers both arms have a latched stop: nobody could press
+                the button any more.
+        """
+        end_s = math.inf if seconds is None else time.monotonic() + seconds
+        self.begin(self._seed)
+        due_s = time.monotonic()
+        while time.monotonic() < end_s:
+            if not self._page.is_running:
+                raise RenderError(self._core.stop(_GONE) or f"{_GONE}: start the program again")
+            self.shown.late_s = max(0.0, time.monotonic() - due_s)
+            try:
+                moved = self.turn()
+            except CellFaulted as error:
+                self._stopped, moved = f"LATCHED: {error}", False
+                self._say()
+            # Against the clock, not from step to step, so that delays do not add up.
+            now_s = time.monotonic()
+            due_s = max(due_s + (self._period_s if moved else _IDLE_S), now_s - _DROPPED_S)
+            if self._controllers and moved:
+                due_s = now_s  # the controllers keep the time
+            time.sleep(max(0.0, due_s - now_s))
+
+    def turn(self) -> bool:
+        """Act on buttons, and take one step if there is one to take. Return True if there was."""
+        if self._rests:
+            self._act_on(self._device.read().buttons)
+            if self._rests:
+                self._say()
+            return not self._rests
+        episode, actor = self.shown.episode, self._actor
+        action = self._still() if actor is None else act(actor, self._observation, self.shown, np.float32)
+        self._act_on(self._device.read().buttons if self._operator is None else self._operator.buttons)
+        if self.shown.episode != episode:
+            return True
+        if self._rests:
+            return False
+        self._single = False
+        self._tell()
+        self._observation, _, terminated, truncated, info = self.shown.step(self._still() if self._stopped else action)
+        # Who practises in a simulation may go on when the time of the task is over.
+        led = self._operator is not None and self._operator.commander.any()
+        if terminated or (truncated and (self._controllers or not led)):
+            self._over = str(info.get("end_reason", "over"))
+            if not (led or self._controllers):
+                self.begin(None)
+        return True
+
+    @property
+    def _rests(self) -> bool:
+        """True while no step is taken."""
+        return bool(self._over or (self._stopped and self._controllers) or (self._paused and not self._single))
+
+    def _still(self) -> Array:
+        """Return the action that leaves both arms where they are commanded to be; grippers stay."""
+        adapter, space = self._core.pipeline.adapter, self._core.action_space
+        action = np.zeros((2, adapter.action_size))
+        if adapter.mode == "joint_position":
+            action[:, :6] = adapter.commanded_q_rad[0]
+        if adapter.gripper:
+            widths = self._core.pipeline.commanded_widths_m[0]
+            action[:, 6] = 2.0 * widths / adapter.stroke_m - 1.0
+        still: Array = action.reshape(space.shape).astype(space.dtype)
+        return still
+
+    def _act_on(self, pressed: frozenset[str]) -> None:
+        """Act on the buttons of the device and on those of the page, which may be another one."""
+        pressed |= frozenset(self._page.pressed())
+        for name in pressed & {"record", "success", "discard"}:
+            text = f"{name} at step {self.shown.steps} of episode {self.shown.episode}"
+            self._core.note("button", text)
+            self.shown.words["record"] = text
+        if "pause" in pressed:
+            self._paused = not self._paused
+        if "step" in pressed:
+            self._paused = self._single = True
+        if "stop" in pressed and not self._stopped:
+            self._stop()
+        elif {"reset", "next_seed"} & pressed:
+            self.begin(self._seed + self.shown.episode + 1 if "next_seed" in pressed else None)
+
+    def _stop(self) -> None:
+        """Stop both arms: latched on controllers, until the next reset in simulation."""
+        text = self._core.stop("the button to stop both arms was pressed in the live page")
+        self._stopped = f"LATCHED: {text}" if self._controllers else "STOPPED by the page: press Reset to go on"
+        self._core.note("stop", "button of the live page")
+
+    def begin(self, seed: int | None) -> None:
+        """Begin an episode; None: the generator continues. A latched stop stays."""
+        if self._stopped and self._controllers:
+            return  # a latched stop is cleared by a person at the controllers
+        again = self.shown.episode >= 0 and self._controllers
+        self._over, self._stopped = "", ""
+        if self._actor is not None:
+            self._actor.reset()
+        if self._operator is not None:
+            self._core.commander = self._operator.commander
+        self._tell()
+        self._observation, _ = self.shown.reset(seed=seed, options={MOVE_TO_START: True} if again else None)
+
+    def _tell(self) -> None:
+        """Let the page know what the loop waits for."""
+        shown = self.shown
+        shown.state = f"over: {self._over}" if self._over else "paused" if self._paused else ""
+        if not self._controllers:
+            shown.latch = self._stopped or OPEN
+        elif self._stopped:
+            shown.words["program"] = self._stopped
+
+    def _say(self) -> None:
+        self._tell()
+        self.shown.say()
+
+
+class WatchSession:
+    """Loop that shows two controllers without ever commanding them.
+
+    Args:
+        arms: Views of the left and the right arm.
+        page: The page.
+        words: Lines of the page that stay.
+    """
+
+    def __init__(self, arms: Sequence[StatusView], page: LivePage, words: dict[str, str]) -> None:
+        self._arms, self._page, self._words = arms, page, words
+
+    def run(self, seconds: float | None) -> None:
+        """Run until the time is over, or Ctrl-C.
+
+        Raises:
+            RenderError: The page's process has ended.
+        """
+        begun_s = time.monotonic()
+        step = 0
+        while seconds is None or time.monotonic() < begun_s + seconds:
+            if not self._page.is_running:
+                raise RenderError(f"{_GONE}: start the program again")
+            self.show(time.monotonic() - begun_s, step)
+            step += 1
+            time.sleep(_WATCH_S)
+
+    def show(self, time_s: float, step: int) -> None:
+        """Show the newest states, if both arms have sent one."""
+        words = dict(self._words)
+        for arm in self._arms:
+            words[f"{arm.name} arm"] = f"LOST: {arm.dead}" if arm.dead else _state(arm)
+            words[f"{arm.name} program"] = arm.program_fault or arm.program or "unknown"
+        self._page.say(words)
+        states = [arm.status for arm in self._arms]
+        left, right = states
+        if left is None or right is None:
+            return
+        q, target = (np.array([getattr(each, name) for each in (left, right)]) for name in ("q_rad", "target_q_rad"))
+        self._page.show_measured(q, target, {"time_s": time_s, "episode": 0, "step": step})
+
+
+def _state(arm: StatusView) -> str:
+    status = arm.status
+    if status is None:
+        return "nothing heard yet"
+    reason = stop_reason(status, playing=False)
+    robot, safety = mode_name(RobotMode, status.robot_mode), mode_name(SafetyMode, status.safety_mode)
+    return f"{robot}, safety {safety}, slider {100 * status.slider:.0f} %, {reason or 'could move'}"

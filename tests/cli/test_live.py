@@ -1,0 +1,357 @@
+"""The command `live` without a browser: what its loops do with handles and buttons, and what it refuses."""
+
+from unittest.mock import MagicMock
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from dual_ur10.cli.live import _buttons
+from dual_ur10.cli.live_session import LiveSession, WatchSession
+from dual_ur10.envs.core.setup import EnvSetup
+from dual_ur10.envs.rendering.live.guard import bind
+from dual_ur10.envs.rendering.live.live_page import LivePage
+from dual_ur10.errors import DeviceGarbageError, RenderError, StartError
+from dual_ur10.policies import load
+from dual_ur10.policies.operators import page as page_module
+from dual_ur10.policies.operators.catalog import operator_with
+from tests.cli.command import run
+from tests.policies.operators.hands import Hand, twist
+from tests.policies.operators.rigs import RawPage, serving_nobody
+
+pytest.importorskip("viser")
+
+
+class Driver(RawPage):
+    """A session with a page without a process: what a browser would send is written into its memory."""
+
+    def __init__(self, task="Handover", policy=None, **keywords):
+        setup = EnvSetup.resolve(task, keywords)
+        super().__init__(task, _buttons(setup, takes=policy is not None), **keywords)
+        self.env = gym.make(setup.env_id, **keywords)
+        self.core = self.env.unwrapped.core
+        actor = None if policy is None else load(policy, setup.env_id, **keywords)
+        self.operator = operator_with(self.device, setup)
+        self.session = LiveSession(self.env, actor, self.operator, self.page, 0)
+        self.session.begin(0)
+
+    def turn(self, count=1):
+        for _ in range(count):
+            self.session.turn()
+
+    @property
+    def commanded(self):
+        return self.core.pipeline.adapter.commanded_q_rad[0].copy()
+
+    def close(self):
+        self.env.close()
+        super().close()
+
+
+@pytest.fixture
+def drive():
+    drivers = []
+
+    def started(**keywords):
+        drivers.append(Driver(**keywords))
+        return drivers[-1]
+
+    yield started
+    for each in drivers:
+        each.close()
+
+
+def test_a_handle_leads_its_tool_and_only_that(drive):
+    driver = drive()
+    driver.turn()
+    tools, before = driver.operator.tools_m.copy(), driver.commanded
+    wanted = tools.copy()
+    wanted[0, :3] += [0.05, 0.02, 0.04]
+    driver.drag(wanted, [True, False])
+    driver.turn(40)
+    np.testing.assert_allclose(driver.operator.tools_m[0, :3], wanted[0, :3], atol=2e-3)
+    np.testing.assert_allclose(driver.commanded[1], before[1], atol=1e-9)
+    assert driver.words["left arm"] == "led by the operator"
+    driver.drag(wanted + 0.1, [False, False])
+    driver.turn(10)
+    np.testing.assert_allclose(driver.operator.tools_m[0, :3], wanted[0, :3], atol=3e-3)
+
+
+@pytest.mark.parametrize("task", ["SineTracking", "SyncCarry", "Handover", "Free"])
+def test_every_task_is_led_and_shown(drive, task):
+    driver = drive(task=task)
+    driver.turn()
+    wanted = driver.operator.tools_m.copy()
+    wanted[:, 2] += 0.02
+    driver.drag(wanted, [True, True])
+    driver.turn(15)
+    np.testing.assert_allclose(driver.operator.tools_m[:, 2], wanted[:, 2], atol=3e-3)
+    assert driver.words["episode"].startswith("0, step 16")
+    model, data = driver.core.cell_data(0)
+    np.testing.assert_allclose(driver.page.memory.rows()[0][-1].qpos[: model.nq], data.qpos, atol=1e-12)
+
+
+def test_a_device_without_a_page_leads_and_the_page_shows_it(drive):
+    driver = drive(task="SineTracking")
+    hand = Hand(**twist(0, 0, 0.1, 0, 0, 0), buttons=frozenset({"grip"}))
+    session = LiveSession(driver.env, None, operator_with(hand, driver.core.setup), driver.page, 0)
+    session.begin(0)
+    before = driver.commanded
+    for _ in range(5):
+        session.turn()
+    assert np.abs(driver.commanded - before).max() > 1e-3
+    driver.press("stop")
+    session.turn()
+    assert driver.words["latch"].startswith("STOPPED")
+    driver.press("pause")
+    session.turn()
+    driver.press("reset")
+    session.turn()
+    assert session.shown.episode == 1
+
+
+def test_motion_led_along_a_limit_is_told(drive):
+    driver = drive(task="Free")
+    driver.turn()
+    down = driver.operator.tools_m.copy()
+    down[:, 2] = -0.5
+    driver.drag(down, [True, True])
+    told = set()
+    for _ in range(100):
+        driver.turn()
+        told.add(driver.words["gate"])
+    assert "releases all, leads along what is in the way" in told
+    assert not any(each.startswith("REFUSED") for each in told)
+
+
+def test_rollout_is_led_by_a_page_and_shown_in_it(monkeypatch):
+    pages, opened, asked = [], [], []
+    original = page_module.open_page
+
+    def open_page(setup, buttons, **keywords):
+        asked.append(buttons)
+        return original(setup, buttons, system=serving_nobody(), **keywords)
+
+    monkeypatch.setattr(page_module, "open_page", open_page)
+    monkeypatch.setattr(LivePage, "wait_until_ready", lambda self: setattr(self, "url", "http://the.page/"))
+    monkeypatch.setattr(LivePage, "wait_until_open", lambda self: opened.append(self))
+    monkeypatch.setattr(LivePage, "close", lambda self: pages.append(self))
+    arguments = ("-n", "2", "--set", "duration_s=0.2", "--no-record", "--operator")
+    code, text = run("rollout", "SineTracking", *arguments, "page:port=0,cameras=none,arms=left")
+    assert (code, "open the page to begin: http://the.page/" in text) == (0, True)
+    assert len(opened) == 1
+    rows = pages[0].memory.rows()[0]
+    assert [(row.scalars["episode"], row.scalars["step"]) for row in rows] == [(e, s) for e in (0, 1) for s in range(6)]
+    assert [row.scalars["right_commander"] for row in rows][1:6] == [1] * 5
+    assert run("rollout", "SineTracking", *arguments[:-1], "--takeover", "page:port=0,cameras=none")[0] == 0
+    assert asked == [(), page_module.TAKES]
+    rows = pages[-1].memory.rows()[0]
+    assert {row.scalars["right_commander"] for row in rows} == {0}
+    assert run("rollout", "SineTracking", *arguments, "page:port=70000")[0] == 2
+    code, text = run("evaluate", "SineTracking", "-n", "1", "--operator", "page")
+    assert (code, "evaluate shows no page" in text) == (2, True)
+    for page in pages:
+        page.memory.close()
+
+
+def test_every_step_is_shown(drive):
+    driver = drive()
+    driver.turn(5)
+    rows, count = driver.page.memory.rows()
+    assert count == 6
+    assert [row.scalars["step"] for row in rows] == list(range(6))
+    assert rows[-1].scalars["left_commander"] == 1
+    np.testing.assert_array_equal(rows[-1].commanded_rad, driver.commanded)
+
+
+def test_the_stop_button_lets_both_arms_rest_until_a_reset(drive):
+    driver = drive(policy="scripted")
+    driver.turn(20)
+    driver.press("stop")
+    driver.turn(15)
+    assert driver.words["latch"].startswith("STOPPED")
+    rest = driver.commanded
+    driver.drag(np.tile([0.0, 0.0, 0.5, 1.0, 0.0, 0.0, 0.0], (2, 1)), [True, True])
+    driver.press("take_both")
+    driver.turn(5)
+    np.testing.assert_allclose(driver.commanded, rest, atol=1e-9)
+    driver.drag(np.zeros((2, 7)), [False, False])
+    driver.press("hand_back", "reset")
+    driver.turn(20)
+    assert driver.words["latch"] == "open, arms may move"
+    assert np.abs(driver.commanded - rest).max() > 0.01
+
+
+def test_one_arm_is_taken_and_handed_back(drive):
+    driver = drive(task="SineTracking", policy="scripted")
+    driver.turn(10)
+    driver.press("take_left")
+    driver.turn(20)
+    rest = driver.commanded
+    driver.turn(5)
+    assert (driver.words["left arm"], driver.words["right arm"]) == ("led by the operator", "led by the policy")
+    np.testing.assert_allclose(driver.commanded[0], rest[0], atol=1e-6)
+    assert np.abs(driver.commanded[1] - rest[1]).max() > 1e-3
+    wanted = driver.operator.tools_m.copy()
+    wanted[0, 2] += 0.02
+    driver.drag(wanted, [True, True])
+    driver.turn(10)
+    np.testing.assert_allclose(driver.operator.tools_m[0, 2], wanted[0, 2], atol=2e-3)
+    driver.press("hand_back")
+    driver.turn(10)
+    assert driver.words["left arm"] == "led by the policy"
+    assert sum(row.scalars["left_commander"] for row in driver.page.memory.rows()[0]) == 35
+    assert np.abs(driver.commanded[0] - rest[0]).max() > 1e-3
+
+
+def test_the_gripper_of_an_arm_that_was_taken_closes_at_the_press_of_its_button(drive):
+    driver = drive(policy="scripted")
+    driver.press("take_left")
+    driver.turn(5)
+    assert driver.core.pipeline.commanded_widths_m[0, 0] > 0.05
+    driver.drag(driver.operator.tools_m, [True, False], [0.0, np.nan])
+    driver.turn()
+    driver.drag(driver.operator.tools_m, [False, False])
+    driver.turn(20)
+    assert driver.core.pipeline.commanded_widths_m[0, 0] < 0.01
+
+
+def test_time_can_be_paused_and_advanced_by_one_step(drive):
+    driver = drive(policy="scripted")
+    driver.press("pause")
+    driver.turn(3)
+    assert driver.page.memory.count == 1
+    driver.press("step")
+    driver.turn(3)
+    assert driver.page.memory.count == 2
+    driver.press("next_seed")
+    driver.turn()
+    assert driver.session.shown.episode == 1
+
+
+def test_a_gripper_opens_and_closes_while_its_handle_is_held(drive):
+    driver = drive()
+    driver.turn(2)
+    driver.drag(driver.operator.tools_m, [True, False], [0.0, np.nan])
+    driver.turn(20)
+    left, right = driver.core.pipeline.commanded_widths_m[0]
+    assert left < 0.01 < right
+    driver.press("stop")
+    driver.turn(10)
+    np.testing.assert_allclose(driver.core.pipeline.commanded_widths_m[0], [left, right], atol=1e-6)
+
+
+def test_a_button_latches_a_stop_of_a_virtual_cell(drive, monkeypatch):
+    from dual_ur10.testing import VirtualCell
+
+    with VirtualCell() as cell:
+        found = []
+        with monkeypatch.context() as patch:
+            patch.setattr(page_module, "LivePage", lambda about, **_: found.append(about.buttons) or MagicMock())
+            for keywords in ({}, {"cell": cell}):
+                page_module.page_device(EnvSetup.resolve("SineTracking", keywords))
+        assert found == [(), ("stop",)]  # nothing in a simulation would act on it
+        driver = drive(task="SineTracking", policy="scripted", cell=cell)
+        driver.turn(10)
+        assert driver.words["gate"] == "releases all"
+        driver.press("stop")
+        driver.turn(3)
+        assert "live page" in driver.core.cell.runner.cell.fault
+        assert driver.words["program"].startswith("LATCHED")
+        driver.press("reset")
+        driver.turn(3)
+        assert driver.session.shown.episode == 0  # a person clears it, not the page
+
+
+def test_a_page_that_is_gone_stops_both_arms_of_a_virtual_cell(drive, monkeypatch):
+    from dual_ur10.testing import VirtualCell
+
+    with VirtualCell() as cell:
+        driver = drive(task="SineTracking", policy="scripted", cell=cell)
+        monkeypatch.setattr(LivePage, "is_running", False)
+        with pytest.raises(RenderError, match="both arms were stopped: the live page is gone"):
+            driver.session.run(5.0)
+        assert "the live page is gone" in driver.core.cell.runner.cell.fault
+        with pytest.raises(RenderError, match="start the program again"):
+            WatchSession((), driver.page, {}).run(5.0)
+
+
+def test_a_device_that_fails_stops_both_arms_of_a_virtual_cell(drive):
+    from dual_ur10.testing import VirtualCell
+
+    with VirtualCell() as cell:
+        driver = drive(task="SineTracking", cell=cell)
+        driver.turn()
+        driver.drag(np.full((2, 7), np.nan), [True, False])
+        with pytest.raises(DeviceGarbageError):
+            driver.turn()
+        assert "DeviceGarbageError" in driver.core.cell.runner.cell.fault
+
+
+class _Arm:
+    def __init__(self, name, status):
+        self.name, self.status = name, status
+        self.dead, self.program, self.program_fault = "", "PLAYING x.urp", ""
+
+
+def _status(q):
+    from dual_ur10.sim2real.links.arm_status import ROW_SIZE, ArmStatus
+
+    status = ArmStatus.from_row(np.zeros(ROW_SIZE))
+    return status._replace(q_rad=(q,) * 6, target_q_rad=(q + 0.1,) * 6, robot_mode=7, safety_mode=1, slider=1.0)
+
+
+def test_a_watcher_shows_what_both_controllers_measure(drive):
+    page = drive().page
+    since = page.memory.count
+    left, right = _Arm("left", _status(0.5)), _Arm("right", None)
+    session = WatchSession((left, right), page, {"arms": "watched only"})
+    session.show(0.0, 0)
+    assert page.memory.count == since
+    assert page.memory.words["right arm"] == "nothing heard yet"
+    right.status = _status(-0.5)
+    left.dead = "its time stalls"
+    session.show(0.04, 1)
+    (row,), _ = page.memory.rows(since)
+    assert (row.q_rad[0, 0], row.q_rad[1, 0], row.commanded_rad[0, 5]) == (0.5, -0.5, 0.6)
+    assert page.memory.words["left arm"] == "LOST: its time stalls"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--operator", "telepathy"], "unknown operator 'telepathy'"),
+        (["--operator", "page:port=0"], "takes --port and --cameras"),
+        (["--command"], "name their cell file with --cell"),
+        (["--cell", "CELL", "--policy", "scripted"], "add --command"),
+        (["--cell", "CELL", "--power-on"], "add --command"),
+        (["--cameras", "fornt"], "front"),
+    ],
+)
+def test_what_does_not_go_together_is_named(tmp_path, arguments, words):
+    arguments = [str(tmp_path / "cell.toml") if each == "CELL" else each for each in arguments]
+    code, text = run("live", "SineTracking", *arguments)
+    assert code == 2
+    assert words in text
+
+
+def test_a_busy_port_is_named():
+    with bind(0) as taken:
+        code, text = run("live", "SineTracking", "--port", str(taken.getsockname()[1]), "--cameras", "none")
+    assert code == 2
+    assert "is busy" in text
+
+
+def test_arms_do_not_move_to_the_start_without_the_yes_that_rollout_asks_for(drive, monkeypatch):
+    from dual_ur10.testing import VirtualCell
+
+    asked = []
+
+    def prompt_for(file, confirm=None):
+        assert confirm is None  # the page never answers for the operator
+        return lambda question: asked.append(question)
+
+    monkeypatch.setattr("dual_ur10.sim2real.runtime.rtde_cell.prompt_for", prompt_for)
+    with VirtualCell() as cell, pytest.raises(StartError, match="not confirmed"):
+        drive(task="SineTracking", policy="scripted", cell=cell)
+    assert len(asked) == 1

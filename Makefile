@@ -7,6 +7,7 @@ VENV := .venv
 OLDEST := .venv-oldest
 DIST := .venv-dist
 CLIENTS := .venv-clients
+CHROMIUM ?= /usr/bin/chromium
 KERNEL := dual_ur10/kernel/_kernel.so
 # What is imported is compiled then: compiling all that torch and others bring takes longer than all the rest.
 PIP_FLAGS := --quiet --disable-pip-version-check --no-compile
@@ -21,7 +22,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # `make fuzz`: executions per target, or seconds (TIME_S=60); some targets only (TARGET=rtde_server); another seed.
 RUNS ?= $(if $(TIME_S),0,20000)
 
-.PHONY: help demo dist docs test test-virtual test-live test-oldest test-dist test-torchrl clients soak simulate mutants fuzz bench install lint format clean check-python check-python-of-tests
+.PHONY: help demo dist docs test test-virtual test-live test-page test-oldest test-dist test-torchrl clients soak simulate mutants fuzz bench install lint format clean check-python check-python-of-tests
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*  ## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
@@ -111,6 +112,23 @@ test-live: $(VENV)/.dev $(KERNEL)  ## the tests in real time: processes, sockets
 	@$(VENV)/bin/python -m pytest -m real_time; code=$$?; \
 	  $(VENV)/bin/python -m pytest -n 2 -m "emulated and not real_time" || code=$$?; exit $$code
 
+# Debian's Chromium, since playwright's own download needs the network and half a gigabyte.
+$(CHROMIUM):
+	@if command -v apt-get >/dev/null && test "$$(id -u)" = 0; then \
+	  echo "Installing Chromium ..."; apt-get update -qq && apt-get install -y -qq --no-install-recommends chromium >/dev/null; \
+	else \
+	  echo "The tests of the live page need $(CHROMIUM). On Debian: sudo apt-get install chromium"; \
+	  echo "Elsewhere: install Chromium or Chrome, then make test-page CHROMIUM=/path/to/it"; exit 1; fi
+
+# Apart from the rest, since it is 46 MB that no other test needs.
+$(VENV)/.browser: $(VENV)/.dev
+	@$(VENV)/bin/python -m pip install $(PIP_FLAGS) -c constraints.txt playwright
+	@touch $@
+
+# A browser that hangs is ended.
+test-page: $(VENV)/.browser $(KERNEL) | $(CHROMIUM)  ## the live page in a real browser, Debian's Chromium
+	@CHROMIUM=$(CHROMIUM) $(if $(shell command -v timeout),timeout -k 30 1200) $(VENV)/bin/python -m pytest tests/browser
+
 # What neither steps MuJoCo nor knows Gymnasium is the same with every version of them.
 test-oldest: $(OLDEST)/.dev $(KERNEL)  ## the tests again with MuJoCo 3.17 and Gymnasium 1.2.2, without those of controllers
 	@$(OLDEST)/bin/python -m pytest -n 2 --dist worksteal -m "not emulated" --ignore tests/ur_emulator --ignore tests/sim2real/control/test_adapter.py
@@ -162,6 +180,7 @@ bench: $(VENV)/.dev $(KERNEL)  ## all benchmarks, figures to out/*.json
 	@$(VENV)/bin/python benchmarks/throughput.py --json out/throughput.json
 	@$(VENV)/bin/python benchmarks/emulator.py --seconds 60 --json out/emulator.json
 	@$(VENV)/bin/python benchmarks/external_control.py --json out/external_control.json
+	@$(VENV)/bin/python benchmarks/live_page.py --json out/live_page.json
 	@$(VENV)/bin/python benchmarks/runner.py --json out/runner.json
 	@$(VENV)/bin/python benchmarks/virtual_cell.py --json out/virtual_cell.json
 	@$(VENV)/bin/python benchmarks/calibration.py --json out/calibration.json

@@ -3,7 +3,8 @@
 python benchmarks/operators.py [--episodes 20] [--devices spacemouse,leader] [--takeovers 1000] [--json FILE]
 
 Persons act by the reports of their devices: SpaceMice as raw reports in a pipe, leader arms as chains of servos on
-pseudo terminals. Tasks run in simulation. Times are those of a virtual cell, by the clock of its controllers.
+pseudo terminals, the handles of a page in its shared memory. Tasks run in simulation. Times are those of a virtual
+cell, by the clock of its controllers. The cost of the page is that of live_page.py, on an emulated cell in real time.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
+
+import live_page
 
 from dual_ur10.policies.operators import leader
 from tests.policies.operators.persons import PERSONS, successes
@@ -78,6 +81,7 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=20)
     parser.add_argument("--devices", default=",".join(PERSONS))
     parser.add_argument("--takeovers", type=int, default=1000, help="a multiple of 10; 0: none")
+    parser.add_argument("--stretches", type=int, default=6, help="stretches of 10 s with a page; 0: no page")
     parser.add_argument("--json", type=Path, help="write the figures to this file")
     arguments = parser.parse_args()
     leader._WAIT_S = 0.2  # the emulated servos answer from a thread of this process
@@ -88,6 +92,9 @@ def main() -> None:
     if arguments.takeovers:
         figures |= takeovers(arguments.takeovers)
     figures["devices"] = {each: finished(each, arguments.episodes) for each in arguments.devices.split(",")}
+    if arguments.stretches:
+        figures |= live_page.figures_of(10.0, arguments.stretches)
+        print(f"page_late_extra {figures['page_late_extra']}", flush=True)
     if arguments.json:
         arguments.json.write_text(json.dumps(figures, indent=2) + "\n")
 

@@ -320,8 +320,19 @@ def make(
     seed: int,
     operator: str | None = None,
     takeover: str | None = None,
+    *,
+    keys: bool = False,
 ) -> tuple[Any, Any]:
     """Return environment and policy, or the operator, whose device is to be closed; or a policy with a takeover.
+
+    Args:
+        env: Id of the environment, or its short form.
+        policy: Name of the policy.
+        keywords: Keywords of the environment.
+        seed: Seed of random actions.
+        operator: Device of an operator in place of the policy.
+        takeover: Device of a person who may take over.
+        keys: The keys of the terminal are buttons of an operator, too.
 
     Raises:
         DualUR10Error: A name or a value is not legal, or a device cannot be opened.
@@ -331,7 +342,7 @@ def make(
     if takeover is not None:
         return _make_takeover(env_id, policy, keywords, seed, operator, takeover)
     if operator is not None:
-        person, made = make_operator(operator, env_id, keywords), None
+        person, made = make_operator(operator, env_id, keywords, keys=keys), None
         try:
             with wrong_types_named(env_id):
                 made = gym.make(env_id, **keywords)

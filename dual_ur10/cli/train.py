@@ -13,7 +13,25 @@ import typer
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from dual_ur10.cli.options import EnvName, PolicyName, Randomization, Settings, console, keywords_of, randomize
+from dual_ur10.cli.options import (
+    RUNS,
+    CellFileName,
+    EnvName,
+    OneArm,
+    OperatorName,
+    PolicyName,
+    Randomization,
+    Record,
+    Settings,
+    TakeoverName,
+    close,
+    console,
+    errors,
+    keywords_of,
+    make,
+    randomize,
+    record_in,
+)
 from dual_ur10.errors import CheckpointError, SettingsError, UnknownNameError
 from dual_ur10.ids import env_id_of
 from dual_ur10.sim2real.processes.interrupts import INTERRUPTED
@@ -187,6 +205,8 @@ def _text(progress: reporting.Progress) -> str:
 def collect(
     env: EnvName,
     policy: PolicyName = "scripted",
+    operator: OperatorName = None,
+    takeover: TakeoverName = None,
     episodes: Annotated[int, typer.Option("--episodes", "-n", min=1, help="Number of episodes.")] = 100,
     dataset: Annotated[
         str | None,
@@ -196,16 +216,29 @@ def collect(
     envs: Annotated[int, typer.Option("--envs", min=1, help="Number of cells stepped together.")] = 16,
     randomization: Randomization = None,
     settings: Settings = None,
+    cell: CellFileName = None,
+    arm: OneArm = None,
+    record: Record = RUNS,
     author: Annotated[str | None, typer.Option("--author", help="Kept in the dataset.")] = None,
     email: Annotated[str | None, typer.Option("--author-email", help="Kept in the dataset.")] = None,
     code: Annotated[str | None, typer.Option("--code-permalink", help="Kept in the dataset.")] = None,
 ) -> None:
-    """Run a policy and write a Minari dataset of its episodes, with one key per agent."""
+    """Run a policy and write a Minari dataset of its episodes, with one key per agent.
+
+    With --operator or --takeover a person demonstrates, also on a --cell: the keys b, return and backspace begin, keep
+    and discard an episode. What is kept is recorded at once; after Ctrl-C, and when the command is repeated after a
+    crash, all of it is in the dataset.
+    """
     from dual_ur10.policies.training.dataset import collect as run
 
-    env_id, keywords = env_id_of(env), keywords_of(settings, False)
+    env_id, keywords = env_id_of(env), keywords_of(settings, False, cell, arm)
     randomize(keywords, randomization)
-    name = dataset or f"dual-ur10/{env_id.split('/')[1].rsplit('-v', 1)[0].lower()}/{Path(policy).name}-v0"
+    source = "operator" if operator or takeover else Path(policy).name
+    name = dataset or f"dual-ur10/{env_id.split('/')[1].rsplit('-v', 1)[0].lower()}/{source}-v0"
+    if operator or takeover:
+        about = {"author": author, "author_email": email, "code_permalink": code}
+        _demonstrate(env, policy, operator, takeover, keywords, name, record, episodes, seed, about)
+        return
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as shown:
         bar = shown.add_task("running", total=episodes)
@@ -235,6 +268,61 @@ def collect(
         highlight=False,
         soft_wrap=True,
     )
+
+
+def _demonstrate(
+    env: str,
+    policy: str,
+    operator: str | None,
+    takeover: str | None,
+    keywords: dict[str, Any],
+    name: str,
+    record: Path,
+    episodes: int,
+    seed: int,
+    about: dict[str, str | None],
+) -> None:
+    """Let a person demonstrate, and write the dataset of what was kept, however it ends."""
+    from dual_ur10.envs.core.options import AS_ON_CONTROLLERS
+    from dual_ur10.policies.training.dataset import check_new
+    from dual_ur10.policies.training.demonstrations import Demonstration, demonstrate, folder_of, make_dataset
+
+    check_new(name)
+    folder = folder_of(record, name)
+    leader = f"operator {operator}" if operator else f"{policy}, takeover {takeover}"
+    record_in(keywords, folder, {"policy": leader})
+    if "cell" not in keywords:
+        keywords = {**AS_ON_CONTROLLERS, **keywords}
+    made, actor = make(env, policy, keywords, seed, operator, takeover, keys=True)
+    count, total_s = 0, 0.0
+
+    def show(found: Demonstration) -> None:
+        nonlocal count, total_s
+        if found.kept:
+            count, total_s = count + 1, total_s + found.time_s
+        end = "kept" if found.kept else "thrown away"
+        console.print(f"{end} after {found.time_s:.1f} s ({escape(found.ended_by)}); {count} kept, {total_s:.0f} s")
+
+    console.print("b begins an episode, return keeps it, backspace discards it, n begins it anew; Ctrl-C ends")
+    interrupted = False
+    try:
+        demonstrate(made, actor, episodes=episodes, seed=seed, on_end=show)
+    except KeyboardInterrupt:
+        interrupted = True
+    finally:
+        close(made, actor)
+        found = make_dataset(folder, name, **about)
+    if found is None:
+        errors.print("nothing was kept", highlight=False)
+    else:
+        console.print(
+            f"{escape(name)}: {found.total_episodes} episodes, {found.total_steps} steps; "
+            f"minari.load_dataset({escape(repr(name))}); records in {escape(str(folder))}",
+            highlight=False,
+            soft_wrap=True,
+        )
+    if interrupted:
+        raise typer.Exit(INTERRUPTED)
 
 
 def convert(

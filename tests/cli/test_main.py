@@ -18,6 +18,7 @@ from dual_ur10 import ENV_IDS, __version__
 from dual_ur10.cli import options as cli_options
 from dual_ur10.errors import SettingsError
 from dual_ur10.policies.registry import shipped_names
+from dual_ur10.sim2real.processes.interrupts import INTERRUPTED
 from tests.cli.command import run
 
 WAIT_S = 60.0
@@ -205,6 +206,8 @@ class Hand:
 
     def read(self):
         pressed = frozenset(filter(None, [self.buttons.pop(0)]))
+        if "interrupt" in pressed:
+            raise KeyboardInterrupt
         return Reading(twist=np.full((2, 6), self.speed), clutch=np.array([True, True]), buttons=pressed)
 
     def close(self):
@@ -245,6 +248,24 @@ def test_a_person_takes_arms_from_a_policy_and_the_record_says_who_commanded(
     assert read_run(sorted((tmp_path / "runs").iterdir())[-1]).episodes[0].commander.all()
     assert run("rollout", *arguments, "--takeover", hand, "--operator", hand)[0] == 2
     assert run("rollout", *arguments, "--takeover", hand, "-p", "psychic")[0] == 2
+    assert __import__("my_hand").OPEN == []
+    sys.modules.pop("my_hand")
+
+
+def test_what_a_person_keeps_is_a_dataset_also_after_ctrl_c(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    minari = pytest.importorskip("minari")
+    pytest.importorskip("h5py")
+    (tmp_path / "my_hand.py").write_text(PERSON)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "datasets"))
+    hand = "my_hand:Hand:speed=0.05,buttons=record+++success+record++interrupt"
+    code, text = run("collect", "SineTracking", "--operator", hand, "--record", str(tmp_path / "runs"))
+    assert code == INTERRUPTED
+    assert "kept after 0.1 s (success); 1 kept, 0 s" in text
+    assert "dual-ur10/sinetracking/operator-v0: 1 episodes, 2 steps" in " ".join(text.split())
+    assert minari.load_dataset("dual-ur10/sinetracking/operator-v0").total_steps == 2
+    code, text = run("collect", "SineTracking", "--operator", hand, "--record", str(tmp_path / "runs"))
+    assert (code, "exists, and nothing is overwritten" in " ".join(text.split())) == (2, True)
     assert __import__("my_hand").OPEN == []
     sys.modules.pop("my_hand")
 

@@ -213,6 +213,14 @@ class Operator:
             self._wait(self._due - now)
         self._due = max(self._due, now) + self.timing.period_s
 
+    def poll(self) -> frozenset[str]:
+        """Return the buttons that are pressed while nothing moves.
+
+        Raises:
+            DeviceError: One of its kinds, as for an action.
+        """
+        return self._read().buttons
+
     def _read(self) -> Reading:
         reading = checked(self.device.read(), self.device.name)
         self.buttons = reading.buttons

@@ -67,15 +67,9 @@ def collect(
         MissingExtraError: Minari is not installed.
         DualUR10Error: A name or a value is not legal.
     """
-    minari = _minari()
+    check_new(dataset_id)
     env_id, keywords = env_id_of(env_id), dict(env_kwargs or {})
-    try:
-        if dataset_id in minari.list_local_datasets():
-            raise DatasetError(f"the dataset {dataset_id} exists, and nothing is overwritten: choose another name")
-        minari.dataset.minari_dataset.parse_dataset_id(dataset_id)
-    except ValueError as error:
-        raise DatasetError(f"{dataset_id!r:.80} is no name of a dataset: {error}") from None
-    check_simulated(keywords, "collecting", "record a rollout with --cell, and make it a dataset with `to_minari`")
+    check_simulated(keywords, "collecting from a policy", "record a rollout with --cell, or collect with an operator")
     keywords = with_latency(policy, env_id, keywords)
     loaded = load_named(policy, env_id, keywords)
     env = DualArmVectorEnv(
@@ -109,6 +103,22 @@ def collect(
         return to_minari(run, dataset_id, author=author, author_email=author_email, code_permalink=code_permalink)
     except DualUR10Error as error:
         raise DatasetError(str(error)) from error
+
+
+def check_new(dataset_id: str) -> None:
+    """Make sure that a dataset can be made with this name.
+
+    Raises:
+        DatasetError: It exists, or Minari refuses its name.
+        MissingExtraError: Minari is not installed.
+    """
+    minari = _minari()
+    try:
+        if dataset_id in minari.list_local_datasets():
+            raise DatasetError(f"the dataset {dataset_id} exists, and nothing is overwritten: choose another name")
+        minari.dataset.minari_dataset.parse_dataset_id(dataset_id)
+    except ValueError as error:
+        raise DatasetError(f"{dataset_id!r:.80} is no name of a dataset: {error}") from None
 
 
 def _batch(env: Any, actor: Any, seeds: range, count: int, number: int) -> list[Episode]:

@@ -6,7 +6,7 @@ import ast
 import json
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -301,7 +301,9 @@ def check_leader(policy: str, operator: str | None) -> None:
         raise SettingsError(f"--policy {policy} and --operator {operator} do not go together: leave one out")
 
 
-def make_operator(operator: str, env_id: str, keywords: dict[str, Any], *, keys: bool = False) -> Operator:
+def make_operator(
+    operator: str, env_id: str, keywords: dict[str, Any], *, keys: bool = False, buttons: Sequence[str] = ()
+) -> Operator:
     """Return the operator of an environment, in the time of day.
 
     Raises:
@@ -310,7 +312,7 @@ def make_operator(operator: str, env_id: str, keywords: dict[str, Any], *, keys:
     from dual_ur10.policies.operators.catalog import load_operator
 
     with wrong_types_named(env_id):
-        return load_operator(operator, env_id, keywords, paced=True, keys=keys)
+        return load_operator(operator, env_id, keywords, paced=True, keys=keys, buttons=buttons)
 
 
 def make(
@@ -332,17 +334,20 @@ def make(
         seed: Seed of random actions.
         operator: Device of an operator in place of the policy.
         takeover: Device of a person who may take over.
-        keys: The keys of the terminal are buttons of an operator, too.
+        keys: The keys of the terminal are buttons of an operator, too; a page has the buttons of episodes.
 
     Raises:
         DualUR10Error: A name or a value is not legal, or a device cannot be opened.
     """
+    from dual_ur10.policies.operators.page import EPISODES, TAKES
+
     env_id = env_id_of(env)
     check_leader(policy, operator)
+    buttons = EPISODES if keys else ()
     if takeover is not None:
-        return _make_takeover(env_id, policy, keywords, seed, operator, takeover)
+        return _make_takeover(env_id, policy, keywords, seed, operator, takeover, (*TAKES, *buttons))
     if operator is not None:
-        person, made = make_operator(operator, env_id, keywords, keys=keys), None
+        person, made = make_operator(operator, env_id, keywords, keys=keys, buttons=buttons), None
         try:
             with wrong_types_named(env_id):
                 made = gym.make(env_id, **keywords)
@@ -363,7 +368,13 @@ def make(
 
 
 def _make_takeover(
-    env_id: str, policy: str, keywords: dict[str, Any], seed: int, operator: str | None, device: str
+    env_id: str,
+    policy: str,
+    keywords: dict[str, Any],
+    seed: int,
+    operator: str | None,
+    device: str,
+    buttons: Sequence[str],
 ) -> tuple[Any, Any]:
     """Return environment and policy with a person who may take over."""
     from dual_ur10.policies.operators.takeover import Takeover
@@ -372,7 +383,7 @@ def _make_takeover(
         raise SettingsError("--operator leads from the beginning, --takeover takes over from a policy: leave one out")
     check_name(policy)
     keywords = with_latency(policy, env_id, keywords)
-    person, made = make_operator(device, env_id, keywords, keys=True), None
+    person, made = make_operator(device, env_id, keywords, keys=True, buttons=buttons), None
     try:
         made, actor = make(env_id, policy, keywords, seed)
         actor = Takeover(actor, person, tell=lambda text: console.print(escape(text), highlight=False))

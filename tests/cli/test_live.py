@@ -124,7 +124,11 @@ def test_motion_led_along_a_limit_is_told(drive):
     assert not any(each.startswith("REFUSED") for each in told)
 
 
-def test_rollout_is_led_by_a_page_and_shown_in_it(monkeypatch):
+def interrupted(*_, **__):
+    raise KeyboardInterrupt
+
+
+def test_rollout_is_led_by_a_page_and_shown_in_it(monkeypatch, tmp_path):
     pages, opened, asked = [], [], []
     original = page_module.open_page
 
@@ -145,7 +149,13 @@ def test_rollout_is_led_by_a_page_and_shown_in_it(monkeypatch):
     assert [row.scalars["right_commander"] for row in rows][1:6] == [1] * 5
     assert run("rollout", "SineTracking", *arguments[:-1], "--takeover", "page:port=0,cameras=none")[0] == 0
     assert asked == [(), page_module.TAKES]
-    rows = pages[-1].memory.rows()[0]
+    monkeypatch.setattr("dual_ur10.policies.training.demonstrations.demonstrate", interrupted)
+    record = ("--record", str(tmp_path / "runs"))
+    run("collect", "SineTracking", "--operator", "page:port=0,cameras=none", *record)
+    assert asked[-1] == page_module.EPISODES
+    run("collect", "SineTracking", "--takeover", "page:port=0,cameras=none", *record)
+    assert asked[-1] == (*page_module.TAKES, *page_module.EPISODES)
+    rows = pages[1].memory.rows()[0]
     assert {row.scalars["right_commander"] for row in rows} == {0}
     assert run("rollout", "SineTracking", *arguments, "page:port=70000")[0] == 2
     code, text = run("evaluate", "SineTracking", "-n", "1", "--operator", "page")

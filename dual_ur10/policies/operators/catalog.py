@@ -9,6 +9,7 @@ import re
 import sys
 import time
 from collections.abc import Mapping as Values
+from collections.abc import Sequence
 from typing import Any, Final
 
 from dual_ur10.envs.core.setup import EnvSetup
@@ -34,7 +35,7 @@ DEVICES: Final = {
 
 _OWN: Final = re.compile(r"([^\W\d][\w.]*:[^\W\d]\w*)(?::(.*))?", re.DOTALL)
 _OF_MAPPING: Final = tuple(each.name for each in dataclasses.fields(Mapping))
-_NOT_TEXT: Final = ("clock", "file", "setup", "takes")  # arguments of devices that only programs give
+_NOT_TEXT: Final = ("clock", "file", "setup", "acts_on")  # arguments of devices that only programs give
 
 
 def device_class(text: str) -> tuple[str, str]:
@@ -90,13 +91,13 @@ def _number(text: str) -> Any:
     return value if isinstance(value, int | float) else text
 
 
-def make_device(text: str, setup: EnvSetup | None = None, *, takes: bool = False) -> tuple[Device, Mapping]:
+def make_device(text: str, setup: EnvSetup | None = None, buttons: Sequence[str] = ()) -> tuple[Device, Mapping]:
     """Return a device, opened, and the mapping of its operator.
 
     Args:
         text: As for `device_class`. Arguments are those of the device's class and of `Mapping`.
         setup: The environment, for a class that takes it as its argument `setup`.
-        takes: Its buttons take over arms and hand them back, for a class that takes it as its argument `takes`.
+        buttons: Names of buttons that the program acts on, for a class that takes them as its argument `acts_on`.
 
     Raises:
         UnknownNameError: There is no such device or argument.
@@ -114,7 +115,7 @@ def make_device(text: str, setup: EnvSetup | None = None, *, takes: bool = False
         unknown = next((name for name in given if name not in known), None)
         if unknown is not None:
             raise UnknownNameError(f"argument of the operator {text.split(':')[0]}", unknown, [*known, *_OF_MAPPING])
-        context = {"setup": setup, "takes": takes}
+        context = {"setup": setup, "acts_on": tuple(buttons)}
         return factory(**given, **{name: value for name, value in context.items() if name in taken}), mapping
     except DualUR10Error:
         raise
@@ -151,7 +152,13 @@ def operator_with(
 
 
 def load_operator(
-    text: str, env_id: str, keywords: Values[str, Any], *, paced: bool = False, keys: bool = False
+    text: str,
+    env_id: str,
+    keywords: Values[str, Any],
+    *,
+    paced: bool = False,
+    keys: bool = False,
+    buttons: Sequence[str] = (),
 ) -> Operator:
     """Return the operator of an environment with these keywords.
 
@@ -160,13 +167,14 @@ def load_operator(
         env_id: Id of the environment.
         keywords: Keywords of the environment.
         paced: As for `operator_with`.
-        keys: Buttons take over arms and hand them back; see `operator_with`.
+        keys: As for `operator_with`.
+        buttons: As for `make_device`.
 
     Raises:
         DualUR10Error: As for `make_device`, or a keyword is not legal.
     """
     setup = EnvSetup.resolve(env_id, keywords, ignore_unknown=True)
-    device, mapping = make_device(text, setup, takes=keys)
+    device, mapping = make_device(text, setup, buttons)
     return operator_with(device, setup, mapping, paced=paced, keys=keys)
 
 

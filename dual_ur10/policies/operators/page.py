@@ -25,6 +25,9 @@ NO_CAMERAS: Final = "none"
 TAKES: Final = ("take_left", "take_right", "take_both", "hand_back")
 """Buttons that take over arms and hand them back."""
 
+EPISODES: Final = ("record", "success", "discard", "reset")
+"""Buttons that begin episodes, keep them, and throw them away."""
+
 
 class PageDevice:
     """Drag handles at both tools, as a `dual_ur10.policies.operators.device.Device`.
@@ -109,16 +112,18 @@ def open_page(
     return LivePage(about, port=port, system=system)
 
 
-def page_device(setup: EnvSetup, port: int = PORT, cameras: str = CAMERAS, *, takes: bool = False) -> PageDevice:
+def page_device(
+    setup: EnvSetup, port: int = PORT, cameras: str = CAMERAS, *, acts_on: Sequence[str] = ()
+) -> PageDevice:
     """Start a page of handles for the operator of an environment, and wait until it serves.
 
     On controllers it has the button that stops both arms.
 
     Args:
         setup: The environment.
-        takes: It has the buttons that take over arms and hand them back.
         port: As for `open_page`.
         cameras: As for `open_page`.
+        acts_on: Names of further buttons.
 
     Raises:
         SettingsError: The port is busy or not allowed.
@@ -127,7 +132,7 @@ def page_device(setup: EnvSetup, port: int = PORT, cameras: str = CAMERAS, *, ta
     """
     if isinstance(port, bool) or not isinstance(port, int) or not 0 <= port < 2**16:
         raise SettingsError(f"port is {port!r}: it must be a whole number from 0 to 65535")
-    buttons = (*(("stop",) if setup.config.controllers else ()), *(TAKES if takes else ()))
-    page = open_page(setup, buttons, port=port, cameras=str(cameras))
+    shown = (*(("stop",) if setup.config.controllers else ()), *acts_on)
+    page = open_page(setup, shown, port=port, cameras=str(cameras))
     page.wait_until_ready()
     return PageDevice(page)

@@ -59,6 +59,7 @@ def test_demonstrations_are_imitated_and_evaluated(monkeypatch):
 def test_stock_learners_are_measured(monkeypatch):
     pytest.importorskip("stable_baselines3")
     monkeypatch.syspath_prepend(FOLDER)
+    monkeypatch.syspath_prepend(FOLDER.parent / "examples")
     learning, returns = importlib.import_module("learning"), importlib.import_module("returns")
     example = importlib.import_module("train_with_sb3")
     monkeypatch.setattr(returns, "measure", functools.partial(returns.measure, max_episode_steps=20))

@@ -210,7 +210,6 @@ def test_a_refusal_names_joint_found_and_allowed() -> None:
         "625 rad/s²",
         "at most 10 rad/s²",
         f"tick {3 * TICKS}",
-        "until a reset",
     ):
         assert part in str(verdict)
     again = gate(still)

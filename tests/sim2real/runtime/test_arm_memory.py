@@ -155,9 +155,10 @@ def test_targets_may_be_written_while_they_are_read(pair):
         "import sys\nimport numpy as np\nfrom dual_ur10.sim2real.runtime.arm_memory import ArmMemory\n"
         "memory = ArmMemory(sys.argv[1])\n"
         "seen, wrong = 0, 0\nprint('ready', flush=True)\n"
-        "while not memory.stop_requested:\n"
+        "while True:\n"
         "    target = memory.target(memory.end - 40)\n"
         "    seen, wrong = seen + 1, wrong + (target != target[0]).any()\n"
+        "    if memory.stop_requested:\n        break\n"
         "print(seen, wrong, flush=True)\n"
     )
     mine.put(0, np.zeros((60, 6)))

@@ -282,6 +282,10 @@ class DeviceGarbageError(DeviceError):
     """Raised when an input device sends what cannot be understood."""
 
 
+class StopPressedError(DeviceError):
+    """Raised when a person presses the button "stop" of an input device. On two controllers it latches a stop."""
+
+
 class LeaderConfigurationError(DeviceError):
     """Raised when the joints of a leader arm are too far from those of the arm that it is to lead."""
 

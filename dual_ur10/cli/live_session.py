@@ -48,6 +48,8 @@ class LiveSession:
         self.shown = Shown(env, page, "nobody" if policy is None else "policy")
         self._page, self._operator = page, operator
         self._device = PageDevice(page) if operator is None else operator.device
+        if operator is not None:
+            operator.stops = False  # the session stops, and goes on showing the arms
         self._core = env.unwrapped.core
         self._actor = policy if operator is None else operator if policy is None else Takeover(policy, operator)
         self._controllers = bool(self._core.config.controllers)

@@ -77,6 +77,7 @@ def _options(
         console.print(__version__, highlight=False)
         raise typer.Exit
     _RECORDING.addHandler(_SHOWN)
+    ctx.call_on_close(lambda: _RECORDING.removeHandler(_SHOWN))  # what records later in this process shows nothing
     _RECORDING.setLevel(logging.INFO)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 import signal
@@ -19,6 +20,7 @@ from dual_ur10.cli import options as cli_options
 from dual_ur10.errors import SettingsError
 from dual_ur10.policies.registry import shipped_names
 from dual_ur10.sim2real.processes.interrupts import INTERRUPTED
+from dual_ur10.sim2real.recording import run_folder
 from tests.cli.command import run
 
 WAIT_S = 60.0
@@ -78,6 +80,7 @@ def test_rollout_prints_a_row_per_episode_and_a_summary(name: str) -> None:
     assert "success 2 of 2" in text
     (recorded,) = Path("runs").iterdir()
     assert text.splitlines()[0] == f"recording in {recorded}"
+    assert not logging.getLogger(run_folder.__name__).handlers  # not for what records later
 
 
 def test_a_task_without_flange_errors_has_no_columns_of_them() -> None:

@@ -1,10 +1,12 @@
 """Operators on a virtual cell: what the arms do after an input of a device, by the controllers' clock."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import dual_ur10  # noqa: F401  # registers the environments
-from dual_ur10.errors import DeviceSilentError, DeviceUnpluggedError
+from dual_ur10.errors import DeviceSilentError, DeviceUnpluggedError, StopPressedError
 from dual_ur10.policies.evaluation.rollout import act
 from dual_ur10.policies.operators.spacemouse import SpaceMouse
 from dual_ur10.testing import VirtualCell
@@ -80,15 +82,26 @@ def test_an_input_at_125_hz_moves_the_arm_soon(tmp_path, monkeypatch, family, mo
     assert waits.min() > 0.016  # the queue alone
 
 
-def test_a_device_that_is_unplugged_while_it_moves_stops_both_arms(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("end", "error", "text"),
+    [
+        ("unplugged", DeviceUnpluggedError, "left spacemouse"),
+        ("stopped", StopPressedError, "the button to stop was pressed"),
+    ],
+)
+def test_a_device_that_is_unplugged_and_the_button_to_stop_stop_both_arms(tmp_path, monkeypatch, end, error, text):
     rig = Rig(tmp_path, monkeypatch)
     rig.mice[0].deflect(FORWARD)
     rig.steps(20)
-    rig.mice[0].unplug()
-    with pytest.raises(DeviceUnpluggedError, match="left spacemouse"):
+    if end == "unplugged":
+        rig.mice[0].unplug()
+    else:
+        read = rig.operator.device.read
+        monkeypatch.setattr(rig.operator.device, "read", lambda: replace(read(), buttons=frozenset({"stop"})))
+    with pytest.raises(error, match=text):
         rig.steps(1)
     rig.cell.clock.sleep(1.0)
-    assert "left spacemouse" in rig.cell.fault
+    assert text in rig.cell.fault
     last = rig.seen[-1][1]
     rig.cell.clock.sleep(0.1)
     np.testing.assert_allclose(rig.seen[-1][1], last, atol=1e-6)

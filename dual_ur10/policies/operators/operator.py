@@ -15,7 +15,14 @@ from dual_ur10.assets.settings import DEFAULT_TOOLS, SceneSettings
 from dual_ur10.assets.tool import Tool, levers_m
 from dual_ur10.envs.tasks.observation_layout import ARM_FIELDS, ConciseView, ObservationLayout
 from dual_ur10.envs.tasks.task import Timing
-from dual_ur10.errors import ActionError, DeviceSilentError, LeaderConfigurationError, SettingsError, UnknownNameError
+from dual_ur10.errors import (
+    ActionError,
+    DeviceSilentError,
+    LeaderConfigurationError,
+    SettingsError,
+    StopPressedError,
+    UnknownNameError,
+)
 from dual_ur10.kinematics import flange_pose_quat, try_nearest
 from dual_ur10.kinematics.frames import ArmMount, Frames
 from dual_ur10.kinematics.poses import Poses, compose, relative_to
@@ -91,6 +98,7 @@ class Operator:
         tools_m: (2, 7) poses of the tool centre points there, in the cell frame.
         step_rad: (6,) largest steps of an arm's joints in a period.
         on_buttons: Called with the buttons of each reading before hands lead; None: nothing is.
+        stops: The button "stop" is an error, which ends what runs; False: what runs acts on it.
         asks: A leader too far from its arm is kept in `refusals` instead of an error, and its arm stays.
         refusals: Reasons why arms did not follow their leaders in the last action, by arm.
 
@@ -136,7 +144,7 @@ class Operator:
         self.__name__ = f"operator with {device.name}"  # in results and records
         self._arm = 1 if self.mapping.arms == "right" else 0  # that a device for one hand leads
         self.on_buttons: Callable[[frozenset[str]], None] | None = None
-        self.asks = False
+        self.asks, self.stops = False, True
         self.commander: Mask = np.ones(2, dtype=bool)
         self.reset()
 
@@ -176,7 +184,7 @@ class Operator:
 
         Raises:
             ActionError: It is not one observation.
-            DeviceError: One of its kinds: the device is gone, silent, or not understood.
+            DeviceError: One of its kinds: the device is gone, silent, or not understood, or "stop" was pressed.
         """
         self._keep_time()
         given = observation["state"] if isinstance(observation, Fields) else observation
@@ -224,6 +232,8 @@ class Operator:
     def _read(self) -> Reading:
         reading = checked(self.device.read(), self.device.name)
         self.buttons = reading.buttons
+        if self.stops and "stop" in reading.buttons:
+            raise StopPressedError(f"the button to stop was pressed on {self.device.name}: start again to go on")
         if reading.age_s > LOST_S:
             raise DeviceSilentError(
                 f"{self.device.name} has been silent for {reading.age_s:.1f} s, allowed are {LOST_S:g} s: check its "

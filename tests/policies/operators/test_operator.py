@@ -9,6 +9,7 @@ from dual_ur10.errors import (
     DeviceSilentError,
     LeaderConfigurationError,
     SettingsError,
+    StopPressedError,
     UnknownNameError,
 )
 from dual_ur10.kinematics.poses import Poses, relative_to
@@ -242,6 +243,19 @@ def test_silence_stops_the_arms_and_then_gives_the_device_up():
     device.set(**twist(FORWARD, age_s=1.1))
     with pytest.raises(DeviceSilentError, match=r"a hand has been silent for 1\.1 s"):
         operator(observation)
+
+
+def test_the_button_to_stop_ends_what_runs_unless_that_acts_on_it():
+    device = Hand(**twist(FORWARD, buttons=frozenset({"stop"})))
+    env, operator = led(device)
+    observation, _ = env.reset(seed=0)
+    with pytest.raises(StopPressedError, match="the button to stop was pressed on a hand"):
+        operator(observation)
+    with pytest.raises(StopPressedError):
+        operator.poll()
+    operator.stops = False
+    assert operator(observation).any()
+    assert operator.buttons == {"stop"}
 
 
 @pytest.mark.parametrize(

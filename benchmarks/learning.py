@@ -49,7 +49,7 @@ from dual_ur10.errors import CellFaulted
 from dual_ur10.policies import evaluate
 from dual_ur10.policies.evaluation.results import Evaluation
 from dual_ur10.policies.learned.checkpoint import read_manifest
-from dual_ur10.policies.registry import shipped_folder, shipped_names
+from dual_ur10.policies.registry import names_for, shipped_folder, shipped_names
 from dual_ur10.policies.training import state
 from dual_ur10.policies.training.settings import defaults, task_settings
 from dual_ur10.policies.training.train import train
@@ -101,6 +101,8 @@ def main() -> None:
     results: dict[str, dict[str, Any]] = {}
     for env_id in dual_ur10.ENV_IDS:
         task = env_id.split("/")[1]
+        if "scripted" not in names_for(env_id):
+            continue  # Free has no reward
         if args.tasks and task.rsplit("-v", 1)[0] not in args.tasks.split(","):
             continue
         for name in shipped_names(env_id):

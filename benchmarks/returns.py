@@ -428,6 +428,8 @@ def main() -> None:
     results: dict[str, Any] = {}
     for env_id in ENV_IDS:
         task = env_id.partition("/")[2]
+        if task.partition("-")[0] not in OF_TASKS:
+            continue  # Free has no reward
         if args.tasks and task.partition("-")[0] not in args.tasks.split(","):
             continue
         behaviours = behaviours_of(env_id)

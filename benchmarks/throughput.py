@@ -306,7 +306,8 @@ def main() -> None:
         f"{arguments.envs} envs on {arguments.threads} threads, 25 Hz; load {load:.2f} on {os.cpu_count()} processors"
     )
     figures: dict[str, Any] = {"load": load}
-    env_ids = [each for each in dual_ur10.ENV_IDS if not arguments.task or name_of(each) in arguments.task]
+    tasks = [each for each in dual_ur10.ENV_IDS if name_of(each) != "Free"]  # it has no scripted policy
+    env_ids = [each for each in tasks if not arguments.task or name_of(each) in arguments.task]
     batch = arguments.envs, arguments.threads, arguments.blocks
     if arguments.peer:
         figures[arguments.peer] = interleaved.robosuite(arguments.peer_python, *batch)

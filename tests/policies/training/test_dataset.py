@@ -151,7 +151,10 @@ def test_every_named_policy_can_be_collected_from(policy):
 
 @pytest.mark.parametrize(
     ("keywords", "match"),
-    [({"observation": "pixels"}, "needs observation='state'"), ({"cell": "lab.toml"}, "not simulated.*record a rollout")],
+    [
+        ({"observation": "pixels"}, "needs observation='state'"),
+        ({"cell": "lab.toml"}, "not simulated.*record a rollout"),
+    ],
 )
 def test_only_states_in_simulation_are_collected(tmp_path, monkeypatch, keywords, match):
     monkeypatch.chdir(tmp_path)

@@ -151,7 +151,7 @@ def constants() -> dict[str, str]:
         facts[f"{short}_rad_s"] = f"{max(task.limits.speed_rad_s):.1f}"
     for family, tick_s in TICK_S.items():
         name = family.replace("-", "_")
-        facts[f"{name}_least_ticks"] = f"{runner.margin_ticks(tick_s) + runner.SHOWN_STATES}"
+        facts[f"{name}_least_ticks"] = f"{runner.least_latency_ticks(tick_s)}"
         facts[f"{name}_margin_ticks"] = f"{runner.margin_ticks(tick_s)}"
         facts[f"{name}_ticks"] = f"{round(cell.LATENCY_S / tick_s)}"
     for name, equipment in (

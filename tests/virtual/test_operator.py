@@ -7,15 +7,17 @@ import pytest
 
 import dual_ur10  # noqa: F401  # registers the environments
 from dual_ur10.errors import DeviceSilentError, DeviceUnpluggedError, StopPressedError
+from dual_ur10.kinematics.robot_model import TICK_S
 from dual_ur10.policies.evaluation.rollout import act
 from dual_ur10.policies.operators.spacemouse import SpaceMouse
+from dual_ur10.sim2real.runtime.runner import least_latency_ticks
 from dual_ur10.testing import VirtualCell
 from tests.policies.operators.hands import operator_of
 from tests.policies.operators.rigs import RawMouse
 from ur_emulator.controller import Controller
 
 KEYWORDS = {"action_mode": "tcp_delta", "policy_rate_hz": 125.0}
-LEAST_TICKS = {"cb3": 4, "e-series": 8}  # that controllers allow
+LEAST_TICKS = {family: least_latency_ticks(tick_s) for family, tick_s in TICK_S.items()}
 MOVED_RAD = 1e-5
 FORWARD = np.array([0.25, 0, 0, 0, 0, 0])
 
@@ -70,9 +72,9 @@ def input_to_motion_s(rig, inputs):
     return np.array(found)
 
 
-@pytest.mark.parametrize(("family", "most_s"), [("e-series", 0.045), ("cb3", 0.056)])
+@pytest.mark.parametrize(("family", "most_s"), [("e-series", 0.045), ("cb3", 0.064)])
 def test_an_input_at_125_hz_moves_the_arm_soon(tmp_path, monkeypatch, family, most_s):
-    """On a CB3 the queue of targets alone takes 32 ms, and each target is held for 8 ms."""
+    """On a CB3 the queue of targets alone takes 40 ms, and each target is held for 8 ms."""
     rig = Rig(tmp_path, monkeypatch, family=family)
     waits = input_to_motion_s(rig, 2)
     rig.close()

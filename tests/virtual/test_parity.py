@@ -12,7 +12,7 @@ from tests.soak import scaled
 TICKS = scaled(2000)
 
 
-@pytest.mark.parametrize("latency", [4, 8])
+@pytest.mark.parametrize("latency", [5, 8])
 def test_the_same_actions_give_the_same_targets_to_the_last_bit(tmp_path, latency):
     keywords, actions, expected = simulated(tmp_path, TICKS, latency)
     with VirtualCell(plant="mild", seed=5) as cell:

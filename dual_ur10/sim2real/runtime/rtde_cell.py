@@ -36,7 +36,7 @@ from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.runtime.approach import Approach, Rates, plan
 from dual_ur10.sim2real.runtime.mirror_model import MirrorModel
 from dual_ur10.sim2real.runtime.path_to_start import AHEAD_TICKS, PathToStart, StalledError
-from dual_ur10.sim2real.runtime.runner import SHOWN_STATES, Runner, margin_ticks
+from dual_ur10.sim2real.runtime.runner import Runner, least_latency_ticks
 from dual_ur10.sim2real.runtime.target_writer import TargetWriter
 from dual_ur10.sim2real.runtime.tracking import TemperatureWarning
 from dual_ur10.types import Array, Rows
@@ -544,7 +544,7 @@ def _checked_file(config: CellConfig, latency_ticks: int, couples: bool) -> Cell
     """
     if not isinstance(config.file, CellFile):
         raise SettingsError("a cell of two controllers needs a cell file: pass its path as `cell`")
-    least = margin_ticks(config.servoj.tick_s) + SHOWN_STATES
+    least = least_latency_ticks(config.servoj.tick_s)
     if not (isinstance(latency_ticks, int | np.integer) and least <= latency_ticks <= MAX_LATENCY_TICKS):
         raise SettingsError(
             f"action_latency_ticks is {latency_ticks!r}: two controllers need {least} to "

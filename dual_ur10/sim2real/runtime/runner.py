@@ -395,6 +395,15 @@ def margin_ticks(tick_s: float) -> int:
     return max(2, math.ceil(MARGIN_S / tick_s - 1e-9))
 
 
+def least_latency_ticks(tick_s: float) -> int:
+    """Return the smallest latency at which no action is late that is written as soon as its state is known.
+
+    It is one tick more than state and margin take. During and after a time scaling, targets fall due anywhere between
+    two control periods, and each is sent at the next one.
+    """
+    return margin_ticks(tick_s) + SHOWN_STATES + 1
+
+
 def _are_delays(failed: Sequence[Finding]) -> bool:
     """Return True if emulated controllers only answered too late, of which both are in one process of this machine."""
     silent = [each for each in failed if each.name not in _OF_STREAMS]

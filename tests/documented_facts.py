@@ -49,9 +49,9 @@ SOURCES = [
     ),
     (
         BENCHMARKS,
-        r"^- Stock Stable-Baselines3, SineTracking, the README's [^)]*\): success in (?P<stock>\d+ and \d+ of 100) "
-        r"episodes, [^,]*, flange errors of (?P<stock_mm>\S+ and \S+) mm, after (?P<stock_steps>\S+) steps and "
-        r"(?P<stock_minutes>\S+ and \S+) minutes",
+        r"^- Stock Stable-Baselines3, SineTracking, the README's [^)]*\): success in (?P<stock>\d+, \d+ and \d+ of 100) "
+        r"episodes, [^%]*% of the return, flange errors of (?P<stock_mm>\S+ \S+ and \S+) mm, after (?P<stock_steps>\S+) steps and "
+        r"(?P<stock_minutes>\S+ \S+ and \S+) minutes",
     ),
     (BENCHMARKS, r"^- Twenty demonstrations, .*: (?P<twenty>\d+ of \d+) .* in (?P<twenty_minutes>\S+) minutes"),
     (
@@ -245,9 +245,9 @@ STATEMENTS = [
     (README, "{handover_mild} of 300 (handover);"),
     (README, "{least_min} to {most_min} min of training"),
     (README, "success in {ppo_sine} episodes with each, {ppo_return} of the script's return; {ppo_minutes} min each"),
-    (README, "succeeds in {stock} unseen episodes (seeds 0 and 1), with mean flange errors of {stock_mm} mm, after"),
-    (README, "after {stock_minutes} min on one core of a busy machine"),
-    ("docs/how-to/train-your-own.md", "{stock} episodes and {stock_minutes} minutes"),
+    (README, "succeeds in {stock} unseen episodes (seeds 0 to 2), with mean flange errors of {stock_mm} mm, after"),
+    (README, "after {stock_minutes} min on one core, which the first two shared"),
+    ("docs/how-to/train-your-own.md", "{stock} episodes after {stock_minutes} minutes"),
     (README, "block placed in {placed0}, {placed1} and {placed2} %;"),
     (README, "success, which allows no refused motion, in {ppo_handover};"),
     (README, "{ppo_handover_minutes} min on one core"),

@@ -1,11 +1,11 @@
 # Two commands do everything on a machine with Python 3.11 or 3.12: `make demo` and `make test`.
-# All that is installed goes to .venv, .venv-oldest, .venv-dist and .venv-clients beside this file. No sudo.
+# All that is installed goes to .venv, .venv-oldest, .venv-rllib and .venv-clients beside this file. No sudo.
 
 SHELL := /bin/sh
 PYTHON ?= $(shell command -v python3.11 || command -v python3.12 || command -v python3)
 VENV := .venv
 OLDEST := .venv-oldest
-DIST := .venv-dist
+RLLIB := .venv-rllib
 CLIENTS := .venv-clients
 CHROMIUM ?= /usr/bin/chromium
 KERNEL := dual_ur10/kernel/_kernel.so
@@ -22,7 +22,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # `make fuzz`: executions per target, or seconds (TIME_S=60); some targets only (TARGET=rtde_server); another seed.
 RUNS ?= $(if $(TIME_S),0,20000)
 
-.PHONY: help demo dist docs test test-virtual test-live test-page test-oldest test-dist test-torchrl clients soak simulate mutants fuzz bench install lint format clean check-python check-python-of-tests
+.PHONY: help demo dist docs test test-virtual test-live test-page test-oldest test-rllib test-torchrl clients soak simulate mutants fuzz bench install lint format clean check-python check-python-of-tests
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*  ## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
@@ -73,10 +73,10 @@ $(OLDEST)/.dev: pyproject.toml constraints-oldest.txt | check-python
 	@touch $@
 
 # RLlib pins a Gymnasium of its own choice, and asks for some hundred MB that nothing else needs.
-$(DIST)/.dev: pyproject.toml constraints-dist.txt | check-python
-	@echo "Installing dual-ur10 with Ray RLlib into $(DIST) ..."
-	@test -x $(DIST)/bin/python || $(PYTHON) -m venv $(DIST)
-	@$(DIST)/bin/python -m pip install $(PIP_FLAGS) -c constraints-dist.txt -e '.[dist]' psutil pytest
+$(RLLIB)/.dev: pyproject.toml constraints-rllib.txt | check-python
+	@echo "Installing dual-ur10 with Ray RLlib into $(RLLIB) ..."
+	@test -x $(RLLIB)/bin/python || $(PYTHON) -m venv $(RLLIB)
+	@$(RLLIB)/bin/python -m pip install $(PIP_FLAGS) -c constraints-rllib.txt -e '.[rllib]' psutil pytest
 	@touch $@
 
 # Clients of UR controllers by others. One of them needs a NumPy that nothing else takes.
@@ -146,8 +146,8 @@ test-torchrl: $(VENV)/.dev $(KERNEL)  ## TorchRL's own wrappers and checks, whic
 	@$(VENV)/bin/python -m pip install $(PIP_FLAGS) -c constraints.txt torchrl
 	@$(VENV)/bin/python -m pytest tests/envs/api/test_torchrl.py tests/test_examples.py -k torchrl
 
-test-dist: $(DIST)/.dev $(KERNEL)  ## training on Ray RLlib with two workers on this machine
-	@$(DIST)/bin/python -m pytest tests/distributed
+test-rllib: $(RLLIB)/.dev $(KERNEL)  ## training on Ray RLlib with two workers on this machine
+	@$(RLLIB)/bin/python -m pytest tests/distributed
 
 clients: $(VENV)/.dev $(CLIENTS)/.dev $(KERNEL)  ## other client libraries against emulated controllers; writes the table of docs/reference/clients.md
 	@$(VENV)/bin/python benchmarks/clients.py --python $(CLIENTS)/bin/python --page docs/reference/clients.md
@@ -199,4 +199,4 @@ format: $(VENV)/.dev  ## ruff's formatter and its safe fixes
 	@$(VENV)/bin/ruff format .
 
 clean:  ## remove what make built
-	rm -rf $(VENV) $(OLDEST) $(DIST) $(CLIENTS) $(KERNEL) out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(OLDEST) $(RLLIB) $(CLIENTS) $(KERNEL) out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -19,7 +19,7 @@ ARGUMENTS = {
     "own_task": (("2",), "gymnasium"),
     "collect_dataset": (("2", "ur10/example-v0"), "minari"),
 }
-ELSEWHERE = {"rllib_two_agents"}  # `make test-dist` runs it, in an environment of its own
+ELSEWHERE = {"rllib_two_agents"}  # `make test-rllib` runs it, in an environment of its own
 
 
 def run(name, *arguments, folder):

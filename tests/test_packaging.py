@@ -12,6 +12,7 @@ import pytest
 from dual_ur10.errors import MissingExtraError
 
 ROOT = pathlib.Path(__file__).parents[1]
+WORKFLOWS = ROOT / ".github" / "workflows"
 
 
 def _built(root, kind, out):
@@ -62,12 +63,19 @@ def test_the_sdist_gives_the_same_wheel(wheel, tmp_path):
         names = {name.split("/", 1)[1] for name in sdist.getnames()}
         sdist.extractall(tmp_path / "root", filter="data")
     assert {"hatch_build.py", "pyproject.toml", "dual_ur10/kernel/gate.hpp", "dual_ur10/kernel/flags.txt"} <= names
+    assert {"Makefile", "constraints.txt", "CITATION.cff", "tests/conftest.py", "docs/index.md"} <= names
     assert not [name for name in names if name.endswith((".so", ".pyc"))]
     (root,) = (tmp_path / "root").iterdir()
     again = zipfile.ZipFile(_built(root, "wheel", tmp_path / "wheel"))
     assert again.namelist() == zipfile.ZipFile(wheel).namelist()
     library = "dual_ur10/kernel/_kernel.so"
     assert again.read(library) == zipfile.ZipFile(wheel).read(library)
+
+
+def test_actions_of_workflows_are_pinned_by_hash():
+    uses = [each for path in WORKFLOWS.glob("*.yml") for each in re.findall(r"uses: (.*)", path.read_text())]
+    assert uses
+    assert not [each for each in uses if not re.fullmatch(r"[\w-]+/[\w-]+@[0-9a-f]{40} # v\d+(\.\d+)+", each)]
 
 
 def test_the_installed_wheel_works(wheel, tmp_path):

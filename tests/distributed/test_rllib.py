@@ -1,4 +1,4 @@
-"""Training on Ray RLlib with two workers on this machine: `make test-dist`."""
+"""Training on Ray RLlib with two workers on this machine: `make test-rllib`."""
 
 import ipaddress
 import json
@@ -22,7 +22,7 @@ LIMIT_S = 240.0
 LOOK_S = 0.25
 LEAVE_S = 20.0
 
-pytestmark = pytest.mark.skipif(find_spec("ray") is None, reason="needs the extra 'dist': make test-dist")
+pytestmark = pytest.mark.skipif(find_spec("ray") is None, reason="needs the extra 'rllib': make test-rllib")
 
 
 class Watched:

@@ -20,28 +20,17 @@ from dual_ur10.types import Array, Rows
 
 Images = dict[str, NDArray[np.uint8]]
 
-_MOST_SLICES = 28  # of a cylinder, as MuJoCo draws it
-
 
 class _Painter:
-    """Model, data and canvas with which one thread draws observed images.
-
-    They are built for small images: a cylinder has only as many faces as its outline can show, and edges are smoothed
-    by supersampling, which costs less than multisampling.
-    """
+    """Model, data and canvas with which one thread draws observed images."""
 
     def __init__(self, core: Core) -> None:
         import mujoco
 
         options, self._core = core.options, core
         self._model = build_model(core.config.scene)
-        # The error of an outline is inversely proportional to the square of the number of faces: 0.25 pixels here for a
-        # radius of a twentieth of the image.
-        slices = min(_MOST_SLICES, math.ceil(1.25 * math.sqrt(options.height)))
-        quality = self._model.vis.quality
-        quality.numslices, quality.numstacks = slices, math.ceil(slices / 2)
         self._data = mujoco.MjData(self._model)
-        self.canvas = Canvas(self._model, options.width, options.height, shadows=options.shadows, supersample=True)
+        self.canvas = Canvas(self._model, options.width, options.height, shadows=options.shadows)
         self.canvas.release()
 
     def paint(self, rows: Rows, images: Images) -> None:

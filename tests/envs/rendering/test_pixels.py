@@ -141,7 +141,7 @@ def difference(a, b):
     return np.abs(a.astype(int) - b).mean()
 
 
-def test_an_observed_image_shows_what_render_shows_in_full_quality():
+def test_an_observed_image_shows_what_render_shows():
     env = single(render_mode="rgb_array", camera="overhead", width=84, height=84)
     env.reset(seed=0)
     last = None

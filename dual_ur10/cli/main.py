@@ -25,6 +25,7 @@ from dual_ur10.cli.rollout import rollout
 from dual_ur10.cli.status import status
 from dual_ur10.cli.teach import teach
 from dual_ur10.cli.train import collect, convert, train
+from dual_ur10.cli.video import video
 from dual_ur10.cli.view import view
 from dual_ur10.errors import DualUR10Error
 from dual_ur10.ids import __version__
@@ -87,6 +88,7 @@ _COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
         "demo --quick": demo,
         "view Handover --policy learned": view,
         "live Handover --policy scripted": live,
+        "video Handover --policy learned --cameras front,left/wrist,right/wrist -o handover.mp4": video,
         "rollout Handover --episodes 3 --set randomization=mild": rollout,
         "evaluate SineTracking --policy learned --randomization mild --json sine.json": evaluate,
         "new-task PegInsertion": new_task,

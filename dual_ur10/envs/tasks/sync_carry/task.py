@@ -186,7 +186,8 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
       each other; `lateral_n`: the same across the bar.
     - `load_share` (2,): fraction of the load that each arm carries.
     - `relative_error_m`, `relative_error_rad`: error of the right flange's pose in the left flange's frame.
-    - `object_error_m`, `object_error_rad`: error of the bar's pose from its reference; `object_m` (3,): its position.
+    - `object_error_m`, `object_error_rad`: error of the bar's pose from its reference; `object_m` (3,): its position;
+      `object_reference_m` (3,): that of the reference.
     - `clock_s`: time on the path, negative before it begins.
 
     `info["is_success"]` is true at the end of an episode if all of these hold: the bar followed its path in position and
@@ -399,6 +400,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
             "object_error_m": bar_m,
             "object_error_rad": bar_rad,
             "object_m": measured.bar_m,
+            "object_reference_m": grasped.frames[:, REFERENCE, :3].copy(),
             "clock_s": clock,
         }
         return Outcome(terms, success, over & ~lost, info, lost)

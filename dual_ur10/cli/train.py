@@ -29,8 +29,10 @@ from dual_ur10.cli.options import (
     errors,
     keywords_of,
     make,
+    make_operator,
     randomize,
     record_in,
+    shown,
 )
 from dual_ur10.errors import CheckpointError, SettingsError, UnknownNameError
 from dual_ur10.ids import env_id_of
@@ -38,8 +40,13 @@ from dual_ur10.sim2real.processes.interrupts import INTERRUPTED
 
 if TYPE_CHECKING:
     from dual_ur10.policies.training import progress as reporting
+    from dual_ur10.policies.training.corrections import Person
+    from dual_ur10.policies.training.demonstrations import Demonstration
+    from dual_ur10.policies.training.settings import Training
 
 _REPORT_S = 30.0  # between lines where no terminal can draw a bar
+
+_KEYS = "b begins an episode, return keeps it, backspace discards it, n begins it anew; Ctrl-C ends"
 
 _OPTIONS = {"env": "ENV", "settings": "--set", "change": "--hyperparameter"}
 """Names on the command line of the parameters that have another name here."""
@@ -57,6 +64,15 @@ _Agents = Annotated[
 _Changes = Annotated[
     list[str] | None,
     typer.Option("--hyperparameter", metavar="KEY=VALUE", help="A hyperparameter of the algorithm. May be repeated."),
+]
+_Corrector = Annotated[
+    str,
+    typer.Option(
+        "--operator",
+        metavar="DEVICE",
+        help="dagger: a person takes over with this device, named as in `rollout`, where the policy of --init or "
+        "--dataset errs; the person's steps are the labels.",
+    ),
 ]
 _Dataset = Annotated[str, typer.Option("--dataset", metavar="ID", help="bc, dagger: a Minari dataset to start from.")]
 
@@ -78,6 +94,7 @@ def train(
     change: _Changes = None,
     dataset: _Dataset = "",
     init: Annotated[str, typer.Option("--init", metavar="FOLDER", help="A checkpoint to start from.")] = "",
+    operator: _Corrector = "",
     resume: Annotated[
         Path | None, typer.Option("--resume", metavar="FOLDER", help="Continue the training in this folder.")
     ] = None,
@@ -106,13 +123,14 @@ def train(
             changes=_changes(change),
             dataset=dataset,
             init=init,
+            operator=operator,
         )
         where = out or Path("trainings") / f"{asked.env_id.split('/')[1]}-{algo}-{asked.agents}-{seed}"
         run = partial(trainings.train, training=asked, out=where)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     try:
         with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-            made = run(threads=threads, on_progress=_Shown(bar, where))
+            made = run(threads=threads, on_progress=_Shown(bar, where), meet=_meet)
     except KeyboardInterrupt:
         console.print(
             f"interrupted; continue with: dual-ur10 train --resume {where}",
@@ -122,6 +140,39 @@ def train(
         )
         raise typer.Exit(INTERRUPTED) from None
     _print(made)
+
+
+def _meet(training: Training) -> Person:
+    """Return the person who corrects a policy, at the terminal or the page."""
+    from dual_ur10.policies.operators.page import EPISODES, TAKES
+    from dual_ur10.policies.training.corrections import Person
+
+    operator = make_operator(
+        training.operator, training.env_id, training.keywords, keys=True, buttons=(*TAKES, *EPISODES)
+    )
+    console.print(f"{_KEYS}; 1, 2, 3 take the left arm, the right one, both, 0 hands back")
+    return Person(
+        operator,
+        shown=lambda env: shown(env, operator),
+        tell=lambda text: console.print(escape(text), highlight=False),
+        on_end=_Kept(),
+    )
+
+
+class _Kept:
+    """Prints the end of each demonstrated episode."""
+
+    def __init__(self) -> None:
+        self._count, self._total_s = 0, 0.0
+
+    def __call__(self, found: Demonstration) -> None:
+        """Print it."""
+        if found.kept:
+            self._count, self._total_s = self._count + 1, self._total_s + found.time_s
+        end = "kept" if found.kept else "thrown away"
+        console.print(
+            f"{end} after {found.time_s:.1f} s ({escape(found.ended_by)}); {self._count} kept, {self._total_s:.0f} s"
+        )
 
 
 class _Shown:
@@ -240,14 +291,14 @@ def collect(
         _demonstrate(env, policy, operator, takeover, keywords, name, record, episodes, seed, about)
         return
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as shown:
-        bar = shown.add_task("running", total=episodes)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as drawn:
+        bar = drawn.add_task("running", total=episodes)
         well = 0
 
         def show(done: int, successes: int) -> None:
             nonlocal well
             well = successes
-            shown.update(bar, completed=done, description=f"{successes} of {done} successful")
+            drawn.update(bar, completed=done, description=f"{successes} of {done} successful")
 
         made = run(
             env_id,
@@ -285,7 +336,7 @@ def _demonstrate(
     """Let a person demonstrate, and write the dataset of what was kept, however it ends."""
     from dual_ur10.envs.core.options import AS_ON_CONTROLLERS
     from dual_ur10.policies.training.dataset import check_new
-    from dual_ur10.policies.training.demonstrations import Demonstration, demonstrate, folder_of, make_dataset
+    from dual_ur10.policies.training.demonstrations import demonstrate, folder_of, make_dataset
 
     check_new(name)
     folder = folder_of(record, name)
@@ -294,19 +345,10 @@ def _demonstrate(
     if "cell" not in keywords:
         keywords = {**AS_ON_CONTROLLERS, **keywords}
     made, actor = make(env, policy, keywords, seed, operator, takeover, keys=True)
-    count, total_s = 0, 0.0
-
-    def show(found: Demonstration) -> None:
-        nonlocal count, total_s
-        if found.kept:
-            count, total_s = count + 1, total_s + found.time_s
-        end = "kept" if found.kept else "thrown away"
-        console.print(f"{end} after {found.time_s:.1f} s ({escape(found.ended_by)}); {count} kept, {total_s:.0f} s")
-
-    console.print("b begins an episode, return keeps it, backspace discards it, n begins it anew; Ctrl-C ends")
+    console.print(_KEYS)
     interrupted = False
     try:
-        demonstrate(made, actor, episodes=episodes, seed=seed, on_end=show)
+        demonstrate(made, actor, episodes=episodes, seed=seed, on_end=_Kept())
     except KeyboardInterrupt:
         interrupted = True
     finally:

@@ -36,6 +36,12 @@ def run(*arguments):
         (("--resume", "x", "--seed", 5, "--steps", 9, "--set", "a=1"), "leave out --seed, --set. Only --steps and"),
         (("--resume", "no_such_folder"), "is no folder of a training"),
         (("SineTracking", "--algo", "ppo", "--dataset", "a/b-v0"), "learns from no dataset"),
+        (("SineTracking", "--operator", "keyboard"), "there is none to begin with: name a checkpoint with --init, or"),
+        (("SineTracking", "--operator", "keyboard", "--dataset", "a/b-v0", "--envs", 4), "one person leads one cell"),
+        (("SineTracking", "--operator", "keyboard", "--init", "x", "--algo", "ppo"), "ppo learns from no operator"),
+        (("SineTracking", "--operator", "keyboard", "--dataset", "a/b-v0", "--algo", "bc"), "collect --operator makes"),
+        (("SineTracking", "--operator", "mouse", "--init", "x"), "unknown operator 'mouse'"),
+        (("SineTracking", "--operator", "keyboard", "--init", "x", "--set", "cell=echo"), "training is in simulation"),
     ],
 )
 def test_a_bad_argument_is_one_line(arguments, message, tmp_path, monkeypatch):

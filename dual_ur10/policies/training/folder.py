@@ -4,6 +4,7 @@ training.json          specification: `dual_ur10.policies.training.settings.Trai
 state/                 state from which --resume continues; see `dual_ur10.policies.training.state`
 samples-0000.safetensors, ...
                        imitation: samples of each round
+episodes/              DAgger with an operator: records of all episodes
 steps-000102400/, ...  intermediate checkpoints
 policy/                the resulting checkpoint
 curve.png              success and return over steps
@@ -271,9 +272,13 @@ class TrainingFolder:
         """Return the settings of the training for a manifest."""
         asked = dataclasses.asdict(self.training)
         # The manifest holds four of these; the names of folders and datasets are private.
-        for name in ("env_id", "keywords", "seed", "agents", "init", "dataset"):
+        for name in ("env_id", "keywords", "seed", "agents", "init", "dataset", "operator"):
             del asked[name]
-        began = {"from_checkpoint": bool(self.training.init), "from_dataset": bool(self.training.dataset)}
+        began = {
+            "from_checkpoint": bool(self.training.init),
+            "from_dataset": bool(self.training.dataset),
+            "from_operator": bool(self.training.operator),
+        }
         result: dict[str, object] = plain({**asked, **began})
         return result
 

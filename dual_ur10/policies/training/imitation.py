@@ -163,6 +163,9 @@ class Imitator:
         state.save_tensors(path, {"observation": samples[0], "action": samples[1]})
         self._samples.append(samples)
         self._rounds += 1
+        self._save(begun)
+
+    def _save(self, begun: float) -> None:
         self._folder.save_state(
             {}, time.monotonic() - begun, steps=self._progress.steps, rounds=self._rounds, longest=self._longest
         )

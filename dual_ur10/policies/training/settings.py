@@ -20,6 +20,7 @@ from dual_ur10.policies.learned.manifest import AgentsKind
 from dual_ur10.policies.learned.network import Activation
 from dual_ur10.policies.learned.schema import StrictJson
 from dual_ur10.policies.learned.signature import view_of
+from dual_ur10.policies.operators.catalog import device_class
 from dual_ur10.sim2real.config.cell_file import resolve_cell
 
 Algorithm = Literal["ppo", "sac", "bc", "dagger"]
@@ -35,6 +36,8 @@ CHECK_SEED: Final = 10_000_000
 _ENVS, _CHECKS = 64, 32
 _STEPS: Final = {"ppo": 1_000_000, "sac": 300_000, "bc": 96_000, "dagger": 288_000}
 """Steps of trainings of tasks that do not state them."""
+
+_CORRECTED_STEPS: Final = 15_000  # ten minutes of a person, at 25 Hz
 
 _FIRST_SEED, _SEEDS_EACH, _MOST_SEED = 1_000_000_000, 1_000_000, 2_000_000
 
@@ -132,6 +135,7 @@ class Imitation(StrictJson):
             See `dual_ur10.policies.training.regression.Scatter`. It replaces what few demonstrations do not show.
         patience: DAgger: largest difference of any joint's action from the expert's, of 2, at which the network keeps
             driving. Beyond it the expert drives for a while.
+        corrected: DAgger with an operator: episodes that the person keeps between two fits.
         unseen: Fields of an arm's observation (`ObservationLayout`) that the network does not see. An effect of an
             action, such as the speed that it led to, is easier to learn from than its cause, and fails when the network
             drives (P. de Haan et al., "Causal Confusion in Imitation Learning", NeurIPS 2019).
@@ -146,6 +150,7 @@ class Imitation(StrictJson):
     noise: ActionSize = 0.1
     scatter_rad: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
     patience: ActionSize = 0.4
+    corrected: Count = 5
     unseen: tuple[str, ...] = ()
 
 
@@ -356,6 +361,7 @@ class Training(StrictJson):
         settings: Settings of the algorithm.
         dataset: Id of a Minari dataset that bc learns from and dagger begins with; "": none.
         init: Folder of a checkpoint whose network to begin with; "": none.
+        operator: Device of a person who corrects the policy in DAgger; "": the scripted policy labels.
 
     Raises:
         SettingsError: A value is not possible.
@@ -376,6 +382,7 @@ class Training(StrictJson):
     ]
     dataset: str = ""
     init: str = ""
+    operator: str = ""
 
     def __post_init__(self) -> None:
         env_id_of(self.env_id)
@@ -393,6 +400,8 @@ class Training(StrictJson):
             raise SettingsError(f"{type(self.settings).__name__} holds no settings of {self.algorithm}")
         if self.dataset and self.algorithm not in IMITATION:
             raise SettingsError(f"{self.algorithm} learns from no dataset: leave it out, or use bc or dagger")
+        if self.operator:
+            self._check_operator()
         if self.init and self.algorithm == "sac":
             raise SettingsError("sac begins with no checkpoint, its network has another form: use ppo")
         if isinstance(self.settings, Imitation) and self.settings.activation not in get_args(Activation):
@@ -404,6 +413,22 @@ class Training(StrictJson):
             rows = self.envs * self.settings.steps_per_update
             if rows < 2:
                 raise SettingsError(f"envs times steps_per_update is {rows}: an update of ppo needs 2 samples or more")
+
+    def _check_operator(self) -> None:
+        """Refuse what does not go together with a person."""
+        device_class(self.operator)
+        if self.algorithm != "dagger":
+            remedy = {"bc": "collect --operator makes a dataset, from which bc learns"}.get(
+                self.algorithm, "use dagger"
+            )
+            raise SettingsError(f"{self.algorithm} learns from no operator: {remedy}, or leave the operator out")
+        if self.envs != 1:
+            raise SettingsError(f"envs is {self.envs} with an operator: one person leads one cell, so leave it out")
+        if not (self.init or self.dataset):
+            raise SettingsError(
+                "an operator corrects a policy, and there is none to begin with: name a checkpoint with --init, or a "
+                "dataset of demonstrations with --dataset"
+            )
 
 
 def first_seed_of(seed: int) -> int:
@@ -456,6 +481,7 @@ def defaults(
     changes: dict[str, Any] | None = None,
     dataset: str = "",
     init: str = "",
+    operator: str = "",
 ) -> Training:
     """Return a training with the default settings of its task.
 
@@ -472,10 +498,11 @@ def defaults(
         changes: Settings of the algorithm that differ from their defaults, by name.
         dataset: See `Training`.
         init: See `Training`.
+        operator: See `Training`. With one, the defaults are one cell and `_CORRECTED_STEPS`.
 
     Raises:
         SettingsError: A value is not possible.
-        UnknownNameError: No such environment, algorithm, kind of agents, setting or keyword.
+        UnknownNameError: No such environment, algorithm, kind of agents, setting, keyword or device.
     """
     env_id = env_id_of(env_id)
     own = task_settings(env_id)
@@ -501,16 +528,20 @@ def defaults(
     usual = {**own.keywords, "randomization": own.randomization, "action_latency_ticks": LATENCY_TICKS}
     given = {**(usual if algorithm in IMITATION or init else own.from_scratch), **asked}
     view_of(env_id, given)  # refuses keywords that make no environment before anything is made
+    usual_envs, usual_steps = own.envs if algorithm in IMITATION else _ENVS, own.steps.get(algorithm, _STEPS[algorithm])
+    if operator:
+        usual_envs, usual_steps = 1, _CORRECTED_STEPS
     return Training(
         env_id=env_id,
         algorithm=algorithm,
         agents=agents,
-        envs=envs if envs is not None else own.envs if algorithm in IMITATION else _ENVS,
-        steps=own.steps.get(algorithm, _STEPS[algorithm]) if steps is None else steps,
+        envs=usual_envs if envs is None else envs,
+        steps=usual_steps if steps is None else steps,
         seed=seed,
         keywords=given,
         checks=own.checks if algorithm in IMITATION else _CHECKS,
         settings=dataclasses.replace(settings, **(changes or {})),
         dataset=dataset,
         init=os.path.abspath(init) if init else "",  # a resumed training may run elsewhere
+        operator=operator,
     )

@@ -5,7 +5,10 @@ from __future__ import annotations
 import importlib
 import logging
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from dual_ur10.errors import DualUR10Error, TrainingError
 from dual_ur10.policies.learned.signature import view_of
@@ -14,6 +17,9 @@ from dual_ur10.policies.training.folder import Saved, TrainingFolder, initial_po
 from dual_ur10.policies.training.progress import OnProgress, Progress
 from dual_ur10.policies.training.settings import IMITATION, Training
 from dual_ur10.policies.training.state import Tensors
+
+if TYPE_CHECKING:
+    from dual_ur10.policies.training.corrections import Meet, Person
 
 __all__ = ["resume", "train"]
 
@@ -26,6 +32,7 @@ def train(
     *,
     on_progress: OnProgress = lambda progress: None,
     threads: int | None = None,
+    meet: Meet | None = None,
 ) -> Path:
     """Train a policy.
 
@@ -34,6 +41,8 @@ def train(
         out: New or empty folder for all results; see `dual_ur10.policies.training.folder`.
         on_progress: Callback with the progress. The first call follows the check of all inputs.
         threads: Threads that step the cells; None: one per processor. The result does not depend on it.
+        meet: Function that returns the person of a training with an operator; None:
+            `dual_ur10.policies.training.corrections.meet`.
 
     Returns:
         Folder of the resulting checkpoint, for `dual_ur10.policies.load`.
@@ -43,6 +52,7 @@ def train(
             something cannot be saved; whatever was saved before is unchanged.
         DatasetError: The dataset cannot be read or is of another environment.
         CheckpointError: The initial checkpoint cannot be read or is of another environment.
+        DeviceError: The device of an operator cannot be opened or fails.
         MissingExtraError: Stable-Baselines3 is not installed.
         KeyboardInterrupt: The training was interrupted. `resume` continues it.
     """
@@ -53,7 +63,8 @@ def train(
         initial_policy(training, view)
     if training.dataset:
         read_dataset(training.dataset, view)
-    return _run(TrainingFolder.create(out, training), None, on_progress, threads)
+    with _met(training, meet) as person:
+        return _run(TrainingFolder.create(out, training), None, on_progress, threads, person)
 
 
 def resume(
@@ -62,6 +73,7 @@ def resume(
     steps: int | None = None,
     on_progress: OnProgress = lambda progress: None,
     threads: int | None = None,
+    meet: Meet | None = None,
 ) -> Path:
     """Continue a training that was interrupted, or extend a finished one by more steps.
 
@@ -72,6 +84,7 @@ def resume(
         steps: Total number of environment steps; None: as specified.
         on_progress: As for `train`.
         threads: As for `train`.
+        meet: As for `train`.
 
     Returns:
         As `train`.
@@ -81,7 +94,8 @@ def resume(
     """
     folder, state = TrainingFolder.resume(out, steps)
     _check_installed(folder.training)
-    return _run(folder, state, on_progress, threads)
+    with _met(folder.training, meet) as person:
+        return _run(folder, state, on_progress, threads, person)
 
 
 def _check_installed(training: Training) -> None:
@@ -89,16 +103,40 @@ def _check_installed(training: Training) -> None:
     importlib.import_module(f"dual_ur10.policies.training.{module}")
 
 
+@contextmanager
+def _met(training: Training, meet: Meet | None) -> Iterator[Person | None]:
+    """Yield the person of a training, whose device is closed at the end; None: nobody corrects it."""
+    if not training.operator:
+        yield None
+        return
+    from dual_ur10.policies.training import corrections
+
+    person = (meet or corrections.meet)(training)
+    try:
+        yield person
+    finally:
+        person.operator.close()
+
+
 def _run(
-    folder: TrainingFolder, state: tuple[Tensors, Saved] | None, on_progress: OnProgress, threads: int | None
+    folder: TrainingFolder,
+    state: tuple[Tensors, Saved] | None,
+    on_progress: OnProgress,
+    threads: int | None,
+    person: Person | None,
 ) -> Path:
     on_progress(Progress(0 if state is None else state[1].steps, folder.training.steps, doing="beginning"))
     try:
         # Imported on use: they load torch and Stable-Baselines3.
         if folder.training.algorithm in IMITATION:
+            saved = None if state is None else state[1]
+            if person is not None:
+                from dual_ur10.policies.training.corrections import CorrectedImitator
+
+                return CorrectedImitator(person, folder, saved, on_progress, threads).run()
             from dual_ur10.policies.training.imitation import Imitator
 
-            return Imitator(folder, None if state is None else state[1], on_progress, threads).run()
+            return Imitator(folder, saved, on_progress, threads).run()
         from dual_ur10.policies.training.reinforcement import Reinforcer
 
         return Reinforcer(folder, state, on_progress, threads).run()

@@ -6,11 +6,14 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from dual_ur10.errors import DatasetError, DeviceUnpluggedError
+from dual_ur10.errors import DatasetError, DeviceAbsentError, DeviceUnpluggedError
+from dual_ur10.policies.learned.checkpoint import read_manifest
 from dual_ur10.policies.learned.signature import view_of
 from dual_ur10.policies.operators.device import Reading
-from dual_ur10.policies.training.dataset import read_dataset
-from dual_ur10.policies.training.demonstrations import demonstrate, folder_of, make_dataset
+from dual_ur10.policies.training.dataset import collect, read_dataset
+from dual_ur10.policies.training.demonstrations import demonstrate, folder_of, kept_of, make_dataset
+from dual_ur10.policies.training.train import resume, train
+from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.testing import VirtualCell
 from tests.policies.operators.hands import operator_of
 
@@ -27,7 +30,7 @@ def _own_folder(tmp_path_factory, monkeypatch):
 
 
 class Person:
-    """Device of a person who presses buttons at some readings; "unplug" ends it."""
+    """Device of a person who presses buttons at some readings; "unplug" and "interrupt" end it."""
 
     name, hands = "a person", 2
 
@@ -38,6 +41,8 @@ class Person:
         button = self.script.pop(0)
         if button == "unplug":
             raise DeviceUnpluggedError("a person was unplugged")
+        if button == "interrupt":
+            raise KeyboardInterrupt
         twist = np.full((2, 6), 0.05)
         return Reading(twist=twist, clutch=np.array([True, True]), buttons=frozenset([button] if button else []))
 
@@ -103,3 +108,89 @@ def test_demonstrations_on_controllers_become_a_dataset(tmp_path):
     dataset = make_dataset(tmp_path, NAME)
     assert [len(each.rewards) for each in dataset] == [5]
     assert dataset[0].infos["commander"][1:].all()
+
+
+TAKEN = (4, "take_both")
+"""The policy leads four steps, and the person the fifth."""
+
+
+@pytest.fixture
+def fits(monkeypatch):
+    """Actions that networks were fitted to."""
+    pytest.importorskip("stable_baselines3")
+    from dual_ur10.policies.training.regression import Fit
+
+    seen, real = [], Fit.__call__
+
+    def watched(self, observation, action, *rest):
+        seen.append(action)
+        return real(self, observation, action, *rest)
+
+    monkeypatch.setattr(Fit, "__call__", watched)
+    return seen
+
+
+@pytest.fixture
+def scripted():
+    """Name of a dataset of one episode of 50 steps."""
+    collect(TASK, "ur10/sine/few-v0", episodes=1, envs=1, env_kwargs={"duration_s": 2.0, "action_latency_ticks": 5})
+    return "ur10/sine/few-v0"
+
+
+def to_correct(**given):
+    """Return a training of 11 steps, each of whose rounds has one kept episode."""
+    from tests.policies.training.small import small
+
+    changes = {"corrected": 1, **given.pop("changes", {})}
+    return small("dagger", envs=1, steps=11, operator="keyboard", changes=changes, **given)
+
+
+def met(*script):
+    """Return a function that meets a person with a script."""
+    from dual_ur10.policies.training.corrections import Person as Corrector
+
+    return lambda asked: Corrector(operator_of(Person(*script), TASK, **asked.keywords), wait=lambda time_s: None)
+
+
+def test_what_a_person_corrects_is_added_to_the_dataset(tmp_path, scripted, fits):
+    meet = met((0, "record"), TAKEN, (2, "success"), (0, "record"), TAKEN, (0, "discard"),
+               (0, "record"), TAKEN, (1, "hand_back"), (3, "success"))  # fmt: skip
+    policy = train(to_correct(dataset=scripted), tmp_path / "out", meet=meet)
+    runs = [kept_of(read_run(each)) for each in sorted((tmp_path / "out" / "episodes").iterdir())]
+    led = [episode.commander.any(axis=1) for run in runs for episode in run.episodes]
+    assert [each.tolist() for each in led] == [[False] * 4 + [True] * 3, [False] * 4 + [True] * 2 + [False] * 4]
+    assert [len(each) for each in fits] == [50, 53, 55]
+    done = np.concatenate([episode.action for run in runs for episode in run.episodes])
+    np.testing.assert_array_equal(fits[-1][50:], done[np.concatenate(led)])
+    stated = read_manifest(policy).training
+    assert stated["from_operator"] is True
+    assert stated["samples"] in (50, 53, 55)  # the best one is the result
+
+
+def test_a_checkpoint_is_corrected_without_forgetting_what_the_person_left_to_it(tmp_path, scripted, fits):
+    from tests.policies.training.small import small
+
+    begin = train(small("bc", dataset=scripted), tmp_path / "begin")
+    fits.clear()
+    asked = to_correct(init=str(begin))
+    meet = met((0, "record"), TAKEN, (7, "success"))
+    train(asked, tmp_path / "out", meet=meet)
+    assert [len(each) for each in fits] == [12]
+
+
+def test_an_interruption_of_corrections_loses_nothing_that_was_kept(tmp_path, scripted, fits):
+    script = ((0, "record"), TAKEN, (1, "success"), (0, "record"), TAKEN, (0, "interrupt"))
+    with pytest.raises(KeyboardInterrupt):
+        train(to_correct(dataset=scripted, changes={"corrected": 2}), tmp_path / "out", meet=met(*script))
+    resume(tmp_path / "out", meet=met((0, "record"), TAKEN, (2, "success"), (0, "record"), TAKEN, (2, "success")))
+    # 4 + 2 and 4 + 1 steps before the interruption are no less than the 11 that were asked for.
+    assert [len(each) for each in fits] == [50, 52]
+
+
+def test_a_device_that_is_absent_is_named_before_a_folder_is_made(tmp_path, scripted):
+    pytest.importorskip("stable_baselines3")
+    asked = to_correct(dataset=scripted)
+    object.__setattr__(asked, "operator", "spacemouse:path=/dev/no-such-mouse")
+    with pytest.raises(DeviceAbsentError, match="/dev/no-such-mouse"):
+        train(asked, tmp_path / "out")
+    assert not (tmp_path / "out").exists()

@@ -1,5 +1,6 @@
 """The command `live` without a browser: what its loops do with handles and buttons, and what it refuses."""
 
+import contextlib
 from unittest.mock import MagicMock
 
 import gymnasium as gym
@@ -11,13 +12,15 @@ from dual_ur10.cli.live_session import LiveSession, WatchSession
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.rendering.live.guard import bind
 from dual_ur10.envs.rendering.live.live_page import LivePage
+from dual_ur10.envs.rendering.live.memory import Handles
 from dual_ur10.errors import DeviceGarbageError, RenderError, StartError
 from dual_ur10.policies import load
 from dual_ur10.policies.operators import page as page_module
 from dual_ur10.policies.operators.catalog import operator_with
+from dual_ur10.sim2real.processes.system import LOCAL
 from tests.cli.command import run
 from tests.policies.operators.hands import Hand, twist
-from tests.policies.operators.rigs import RawPage, serving_nobody
+from tests.policies.operators.rigs import FOREVER_S, RawPage, serving_nobody
 
 pytest.importorskip("viser")
 
@@ -362,6 +365,62 @@ def test_arms_do_not_move_to_the_start_without_the_yes_that_rollout_asks_for(dri
         return lambda question: asked.append(question)
 
     monkeypatch.setattr("dual_ur10.sim2real.runtime.rtde_cell.prompt_for", prompt_for)
-    with VirtualCell() as cell, pytest.raises(StartError, match="not confirmed"):
-        drive(task="SineTracking", policy="scripted", cell=cell)
-    assert len(asked) == 1
+    with VirtualCell() as cell:
+        with pytest.raises(StartError, match="not confirmed"):
+            drive(task="SineTracking", policy="scripted", cell=cell)
+        with commanding(monkeypatch, cell) as (pages, turned):
+            code, text = run(*COMMAND)
+        assert (code, "not confirmed" in text, turned) == (2, True, [])
+        assert not pages[0].memory.count  # nothing was shown, since nothing began
+    assert len(asked) == 2
+
+
+COMMAND = ("live", "SineTracking", "--cell", "lab.toml", "--command", "--port", "0", "--cameras", "none")
+
+
+@contextlib.contextmanager
+def commanding(monkeypatch, cell):
+    """Let `live --command` command a virtual cell from a page without a process, for the time of a drag.
+
+    Yields the pages, and the ways of both commanded tools (m) with what a second command said meanwhile.
+    """
+    pages, turned, opened = [], [], page_module.open_page
+
+    def open_page(*arguments, **keywords):
+        pages.append(opened(*arguments, system=serving_nobody(), **keywords))
+        return pages[-1]
+
+    def lead(session, seconds):
+        session.begin(0)
+        session.turn()
+        page, begun = pages[0], session._operator.tools_m.copy()
+        page.memory.beat(LOCAL.clock.now_s() + FOREVER_S)
+        wanted = begun + np.array([[0, 0, 0.02, 0, 0, 0, 0], [0] * 7])
+        page.memory.put_handles(Handles(wanted, np.array([True, False]), np.full(2, np.nan), 0.0))
+        for _ in range(20):
+            session.turn()
+        turned.append((session._operator.tools_m - begun)[:, 2])
+        if len(pages) == 1:
+            turned.append(run(*COMMAND))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(page_module, "open_page", open_page)
+        patch.setattr(LivePage, "wait_until_ready", lambda self: "http://the.page/")
+        patch.setattr(LiveSession, "run", lead)
+        patch.setattr("dual_ur10.cli.live.keywords_of", lambda *_: {"cell": cell})
+        yield pages, turned
+
+
+def test_live_commands_a_cell_of_controllers_for_one_operator_at_a_time(monkeypatch):
+    from dual_ur10.testing import VirtualCell
+
+    with VirtualCell() as cell:
+        with commanding(monkeypatch, cell) as (pages, turned):
+            code, text = run(*COMMAND)
+        fault = cell.fault
+    assert (code, "the page is at http://the.page/" in text) == (0, True)
+    np.testing.assert_allclose(turned[0], [0.02, 0.0], atol=2e-3)
+    code, text = turned[1]
+    assert (code, len(turned)) == (2, 2)
+    assert "moved by this program already" in text
+    assert not fault  # the refusal stops nobody

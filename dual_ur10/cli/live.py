@@ -175,7 +175,7 @@ def _buttons(setup: EnvSetup, *, takes: bool) -> tuple[str, ...]:
         setup: The environment.
         takes: There are a policy and an operator who may take arms from it.
     """
-    from dual_ur10.policies.operators.page import TAKES
+    from dual_ur10.envs.rendering.live.memory import TAKES
 
     buttons: tuple[str, ...] = ("stop", "reset", "next_seed")
     if not setup.config.controllers:

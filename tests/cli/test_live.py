@@ -12,7 +12,7 @@ from dual_ur10.cli.live_session import LiveSession, WatchSession
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.rendering.live.guard import bind
 from dual_ur10.envs.rendering.live.live_page import LivePage
-from dual_ur10.envs.rendering.live.memory import Handles
+from dual_ur10.envs.rendering.live.memory import EPISODES, TAKES, Handles
 from dual_ur10.errors import DeviceGarbageError, RenderError, StartError
 from dual_ur10.policies import load
 from dual_ur10.policies.operators import page as page_module
@@ -151,13 +151,13 @@ def test_rollout_is_led_by_a_page_and_shown_in_it(monkeypatch, tmp_path):
     assert [(row.scalars["episode"], row.scalars["step"]) for row in rows] == [(e, s) for e in (0, 1) for s in range(6)]
     assert [row.scalars["right_commander"] for row in rows][1:6] == [1] * 5
     assert run("rollout", "SineTracking", *arguments[:-1], "--takeover", "page:port=0,cameras=none")[0] == 0
-    assert asked == [(), page_module.TAKES]
+    assert asked == [(), TAKES]
     monkeypatch.setattr("dual_ur10.policies.training.demonstrations.demonstrate", interrupted)
     record = ("--record", str(tmp_path / "runs"))
     run("collect", "SineTracking", "--operator", "page:port=0,cameras=none", *record)
-    assert asked[-1] == page_module.EPISODES
+    assert asked[-1] == EPISODES
     run("collect", "SineTracking", "--takeover", "page:port=0,cameras=none", *record)
-    assert asked[-1] == (*page_module.TAKES, *page_module.EPISODES)
+    assert asked[-1] == (*TAKES, *EPISODES)
     rows = pages[1].memory.rows()[0]
     assert {row.scalars["right_commander"] for row in rows} == {0}
     assert run("rollout", "SineTracking", *arguments, "page:port=70000")[0] == 2
@@ -415,7 +415,7 @@ def test_live_commands_a_cell_of_controllers_for_one_operator_at_a_time(monkeypa
     from dual_ur10.testing import VirtualCell
 
     with VirtualCell() as cell:
-        with commanding(monkeypatch, cell) as (pages, turned):
+        with commanding(monkeypatch, cell) as (_, turned):
             code, text = run(*COMMAND)
         fault = cell.fault
     assert (code, "the page is at http://the.page/" in text) == (0, True)

@@ -9,6 +9,7 @@ from typing import Final, Protocol, runtime_checkable
 
 import numpy as np
 
+from dual_ur10.envs.rendering.live.memory import EPISODES, TAKES
 from dual_ur10.errors import DeviceGarbageError
 from dual_ur10.sim2real.control.adapter import TCP_ROTATION_RAD_S, TCP_STEP_M_S
 from dual_ur10.types import Array, Mask, constant
@@ -22,21 +23,7 @@ SILENT_S: Final = 0.08
 LOST_S: Final = 1.0
 """Age from which on the device is given up."""
 
-BUTTONS: Final = (
-    "grip",
-    "grip_left",
-    "grip_right",
-    "switch",
-    "reset",
-    "record",
-    "success",
-    "discard",
-    "take_left",
-    "take_right",
-    "take_both",
-    "hand_back",
-    "stop",
-)
+BUTTONS: Final = ("grip", "grip_left", "grip_right", "switch", *EPISODES, *TAKES, "stop")
 """Names of buttons with a meaning. "grip" opens or closes the gripper of the arm that the hand leads, "grip_left" and
 "grip_right" those of one arm. "switch" passes a device for one hand to the other arm. The others are for what runs the
 episodes."""

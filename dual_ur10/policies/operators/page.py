@@ -22,12 +22,6 @@ CAMERAS: Final = "front"
 
 NO_CAMERAS: Final = "none"
 
-TAKES: Final = ("take_left", "take_right", "take_both", "hand_back")
-"""Buttons that take over arms and hand them back."""
-
-EPISODES: Final = ("record", "success", "discard", "reset")
-"""Buttons that begin episodes, keep them, and throw them away."""
-
 
 class PageDevice:
     """Drag handles at both tools, as a `dual_ur10.policies.operators.device.Device`.

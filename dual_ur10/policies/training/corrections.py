@@ -15,9 +15,9 @@ import gymnasium as gym
 import numpy as np
 
 from dual_ur10.envs.core.options import AS_ON_CONTROLLERS
+from dual_ur10.envs.rendering.live.memory import EPISODES, TAKES
 from dual_ur10.policies.operators.catalog import load_operator
 from dual_ur10.policies.operators.operator import Operator
-from dual_ur10.policies.operators.page import EPISODES, TAKES
 from dual_ur10.policies.operators.takeover import Takeover
 from dual_ur10.policies.policy import Policy
 from dual_ur10.policies.training.dataset import read_dataset

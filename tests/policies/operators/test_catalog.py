@@ -8,8 +8,11 @@ import termios
 import numpy as np
 import pytest
 
+from dual_ur10.envs.rendering.live import memory
 from dual_ur10.errors import SettingsError, UnknownNameError
+from dual_ur10.policies.operators import gamepad, keyboard
 from dual_ur10.policies.operators.catalog import DEVICES, arguments_in, device_class, load_operator, make_device
+from dual_ur10.policies.operators.device import BUTTONS
 from dual_ur10.policies.operators.mapping import Mapping
 from tests.policies.operators.rigs import RawMouse
 
@@ -24,6 +27,11 @@ def test_names_and_classes_are_told_apart():
     assert device_class("my.module:Wheel:gain=2,name=a:b") == ("my.module:Wheel", "gain=2,name=a:b")
     with pytest.raises(UnknownNameError, match="did you mean 'spacemouse'"):
         device_class("spacemous")
+
+
+def test_every_button_of_a_device_is_known_by_one_name():
+    assert {*keyboard.KEYS.values(), *gamepad._BUTTONS.values()} <= {*BUTTONS}
+    assert {*BUTTONS} & {*memory.BUTTONS} == {*memory.EPISODES, *memory.TAKES, "stop"}
 
 
 def test_arguments_are_numbers_truths_texts_and_tuples():

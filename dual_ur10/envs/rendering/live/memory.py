@@ -16,20 +16,13 @@ from dual_ur10.errors import LinkError
 from dual_ur10.sim2real.processes.shared_memory import Layout, SharedBlock
 from dual_ur10.types import Array, Mask
 
-BUTTONS: Final = (
-    "reset",
-    "record",
-    "success",
-    "discard",
-    "take_left",
-    "take_right",
-    "take_both",
-    "hand_back",
-    "stop",
-    "pause",
-    "step",
-    "next_seed",
-)
+EPISODES: Final = ("record", "success", "discard", "reset")
+"""Names of the buttons that begin episodes, keep them, and throw them away."""
+
+TAKES: Final = ("take_left", "take_right", "take_both", "hand_back")
+"""Names of the buttons that take over arms and hand them back."""
+
+BUTTONS: Final = (*EPISODES, *TAKES, "stop", "pause", "step", "next_seed")
 """Names of the buttons of a page; the program acts on them."""
 
 COMMANDERS: Final = ("policy", "operator", "nobody")

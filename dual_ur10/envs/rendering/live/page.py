@@ -19,7 +19,7 @@ from dual_ur10.envs.rendering.images import Canvas
 from dual_ur10.envs.rendering.live.commander import Commander
 from dual_ur10.envs.rendering.live.guard import address, bind, make_server
 from dual_ur10.envs.rendering.live.history import SHOWN_S, History, Sending
-from dual_ur10.envs.rendering.live.memory import BUTTONS, LiveMemory, Row
+from dual_ur10.envs.rendering.live.memory import BUTTONS, TAKES, LiveMemory, Row
 from dual_ur10.envs.rendering.live.scene import Poser, parts_of
 from dual_ur10.errors import DualUR10Error, LinkError, RenderError
 from dual_ur10.kinematics.ur10 import ARMS
@@ -340,7 +340,7 @@ class Page:
                     self._add_button(gui, name)
         if about.handles:
             with gui.add_folder("Lead the arms"):
-                for name in ("take_left", "take_right", "take_both", "hand_back"):
+                for name in TAKES:
                     if name in about.buttons:
                         self._add_button(gui, name)
                 for arm, name in enumerate(ARMS if about.grippers else ()):

@@ -11,7 +11,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import gymnasium as gym
 import typer
 from rich.console import Console
 from rich.markup import escape
@@ -19,11 +18,11 @@ from rich.measure import Measurement
 from rich.progress import Progress, ProgressColumn
 from rich.table import Table
 
+from dual_ur10 import policies
 from dual_ur10.errors import SettingsError
 from dual_ur10.ids import env_id_of
 from dual_ur10.kinematics.robots import robot_model
-from dual_ur10.policies.baselines import RandomPolicy, ZeroPolicy
-from dual_ur10.policies.registry import check_name, load_named, with_latency, wrong_types_named
+from dual_ur10.policies.registry import check_name, keywords_for, wrong_types_named
 from dual_ur10.sim2real.processes.machine_load import too_busy
 
 if TYPE_CHECKING:
@@ -346,25 +345,17 @@ def make(
     buttons = EPISODES if keys else ()
     if takeover is not None:
         return _make_takeover(env_id, policy, keywords, seed, operator, takeover, (*TAKES, *buttons))
-    if operator is not None:
-        person, made = make_operator(operator, env_id, keywords, keys=keys, buttons=buttons), None
-        try:
-            with wrong_types_named(env_id):
-                made = gym.make(env_id, **keywords)
-            return shown(made, person), person
-        except BaseException:
-            if made is not None:
-                made.close()
-            person.close()
-            raise
-    check_name(policy)
-    keywords = with_latency(policy, env_id, keywords)
-    actor = load_named(policy, env_id, keywords)  # before anything is connected or a folder of the run is made
-    with wrong_types_named(env_id):
-        made = gym.make(env_id, **keywords)
-    if policy == "random":
-        return made, RandomPolicy(made.action_space, seed=seed)
-    return made, ZeroPolicy(made.action_space) if actor is None else actor
+    if operator is None:
+        return policies.make(policy, env_id, seed=seed, **keywords)
+    person, made = make_operator(operator, env_id, keywords, keys=keys, buttons=buttons), None
+    try:
+        made, _ = policies.make(person, env_id, **keywords)
+        return shown(made, person), person
+    except BaseException:
+        if made is not None:
+            made.close()
+        person.close()
+        raise
 
 
 def _make_takeover(
@@ -382,7 +373,7 @@ def _make_takeover(
     if operator is not None:
         raise SettingsError("--operator leads from the beginning, --takeover takes over from a policy: leave one out")
     check_name(policy)
-    keywords = with_latency(policy, env_id, keywords)
+    keywords = keywords_for(policy, env_id, keywords)
     person, made = make_operator(device, env_id, keywords, keys=True, buttons=buttons), None
     try:
         made, actor = make(env_id, policy, keywords, seed)

@@ -1,11 +1,13 @@
 """Scripted and learned policies, their evaluation and their training.
 
-    from dual_ur10.policies import evaluate, load
+    from dual_ur10.policies import evaluate, make, rollout
 
-    policy = load("scripted", "DualUR10/Handover-v0")
-    print(evaluate("DualUR10/Handover-v0", policy, episodes=10).success_rate)
+    env, policy = make("learned", "DualUR10/Handover-v0")
+    print(rollout(env, policy, seed=0).success)
+    print(evaluate("DualUR10/Handover-v0", "learned", episodes=10).success_rate)
 
-Any object with the two methods of `Policy` can be evaluated. Importing this package loads neither MuJoCo nor torch.
+Any object with the two methods of `Policy` can be evaluated, and so can a plain function of the observation. Importing
+this package loads neither MuJoCo nor torch.
 Imports `envs`; imported by `sim2real.analysis`, `testing` and `cli`.
 """
 
@@ -14,13 +16,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from dual_ur10.policies.policy import Policy
-from dual_ur10.policies.registry import NAMES, is_path, load
+from dual_ur10.policies.registry import NAMES, is_path, load, make
 
 if TYPE_CHECKING:
     from dual_ur10.policies.evaluation.evaluate import evaluate
     from dual_ur10.policies.evaluation.rollout import rollout
 
-__all__ = ["NAMES", "Policy", "evaluate", "is_path", "load", "rollout"]
+__all__ = ["NAMES", "Policy", "evaluate", "is_path", "load", "make", "rollout"]
 
 
 def __getattr__(name: str) -> Any:

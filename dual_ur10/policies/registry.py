@@ -11,23 +11,25 @@ from __future__ import annotations
 import inspect
 import os
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import gymnasium as gym
+
 from dual_ur10.errors import DualUR10Error, PolicyError, SettingsError, UnknownNameError
 from dual_ur10.ids import LEARNED_NAMES, TASKS, env_id_of, load_object
-from dual_ur10.policies.baselines import BASELINES
-from dual_ur10.policies.policy import Policy, policy_name
+from dual_ur10.policies.baselines import BASELINES, RandomPolicy, ZeroPolicy
+from dual_ur10.policies.policy import Policy, as_policy, policy_name
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.config.cell_kinds import CELL_KINDS
 
 if TYPE_CHECKING:
     from dual_ur10.envs.core.setup import EnvSetup
 
-_OF_INTERFACES: Final = ("max_episode_steps", "render_mode", "threads")
+_OF_INTERFACES: Final = ("max_episode_steps", "render_mode", "threads", "disable_env_checker")
 """Keywords of `gym.make` and `gym.make_vec` on which no policy depends."""
 
 NAMES: Final = ("scripted", *LEARNED_NAMES)
@@ -151,7 +153,7 @@ def wrong_types_named(env_id: str) -> Iterator[None]:
         raise SettingsError(f"a keyword of {env_id} has the wrong type: {reason}") from error
 
 
-def load_named(policy: Policy | str, env_id: str, keywords: Mapping[str, Any]) -> Policy | None:
+def load_named(policy: Policy | str | os.PathLike[str], env_id: str, keywords: Mapping[str, Any]) -> Policy | None:
     """Load a policy that is given by its name or folder. Return None for an object, and for a baseline.
 
     Args:
@@ -164,7 +166,7 @@ def load_named(policy: Policy | str, env_id: str, keywords: Mapping[str, Any]) -
         SettingsError: A class of one's own cannot be imported or made.
         CheckpointError: The checkpoint cannot be read, or was made for another environment.
     """
-    if not isinstance(policy, str) or policy in BASELINES:
+    if not isinstance(policy, str | os.PathLike) or policy in BASELINES:
         return None
     with wrong_types_named(env_id):
         return load(policy, env_id, **keywords)
@@ -238,10 +240,22 @@ def _scripted(env_id: str, keywords: Mapping[str, Any]) -> Policy:
     return _made(path, env_id, keywords)
 
 
-def with_latency(policy: Policy | str, env_id: str, keywords: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the keywords of an environment, with the action latency that a learned policy was made for.
+_INTERFACE: Final = (
+    "policy_rate_hz",
+    "action_mode",
+    "action_scale",
+    "action_latency_ticks",
+    "compensate_lag",
+    "observation",
+)
+"""Keywords of an environment that decide what a policy observes and what its actions mean."""
 
-    Keywords that state a latency, and those of a cell of two controllers, which has its own, are returned unchanged.
+
+def keywords_for(policy: Policy | str | os.PathLike[str], env_id: str, keywords: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the keywords of an environment, with those that a learned policy needs to act in it.
+
+    These are the rate, mode, scale and latency of actions, the view of the observation and the model of the arms. One
+    that is stated remains as it is, and a cell's own arms and latency remain, too. No other policy adds any.
 
     Args:
         policy: A policy, a name, or the folder of a checkpoint.
@@ -255,19 +269,60 @@ def with_latency(policy: Policy | str, env_id: str, keywords: Mapping[str, Any])
     from dual_ur10.policies.learned.checkpoint import read_manifest
     from dual_ur10.policies.learned.learned_policy import LearnedPolicy
 
-    cell = keywords.get("cell", "mujoco")
-    simulated = isinstance(cell, CellConfig) or (isinstance(cell, str) and cell in CELL_KINDS)
-    kind = cell.kind if isinstance(cell, CellConfig) else cell
-    if keywords.get("action_latency_ticks") is not None or not simulated or CELL_KINDS[kind].controllers:
-        return dict(keywords)
-    if isinstance(policy, str):
-        folder = shipped_folder(policy, env_id) if policy in LEARNED_NAMES else policy
+    if isinstance(policy, str | os.PathLike):
+        folder = shipped_folder(str(policy), env_id) if policy in LEARNED_NAMES else policy
         manifest = read_manifest(folder) if is_path(folder) else None
     else:
         manifest = policy.manifest if isinstance(policy, LearnedPolicy) else None
     if manifest is None:
         return dict(keywords)
-    return {**keywords, "action_latency_ticks": manifest.signature.rate.latency_ticks}
+    signature = manifest.signature
+    needed = {name: signature.kwargs[name] for name in _INTERFACE if name in signature.kwargs}
+    cell = keywords.get("cell", "mujoco")
+    simulated = isinstance(cell, CellConfig) or (isinstance(cell, str) and cell in CELL_KINDS)
+    kind = cell.kind if isinstance(cell, CellConfig) else cell
+    if not simulated or CELL_KINDS[kind].controllers:
+        needed.pop("action_latency_ticks", None)
+    elif not isinstance(cell, CellConfig) and signature.robot.names != ("ur10", "ur10"):
+        needed["robot"] = signature.robot.names
+    return {**keywords, **{name: value for name, value in needed.items() if keywords.get(name) is None}}
+
+
+def make(
+    policy: Policy | Callable[[Any], Any] | str | os.PathLike[str], env_id: str, *, seed: int = 0, **keywords: Any
+) -> tuple[gym.Env[Any, Any], Policy]:
+    """Return an environment and a policy that fit each other.
+
+        env, policy = make("learned", "DualUR10/Handover-v0", render_mode="human")
+
+    The environment has the rate, mode, scale and latency of actions, the view of the observation and the model of the
+    arms for which a learned policy was made. A policy without such demands gets the environment of `gym.make`.
+
+    Args:
+        policy: As for `load`; "random" or "zero"; or a policy, or a plain function from observations to actions.
+        env_id: Id of the environment, or its short form.
+        seed: Seed of random actions.
+        **keywords: As for `gym.make`. They come before those of the policy, which then may not fit.
+
+    Raises:
+        UnknownNameError: The policy, the environment or a keyword does not exist.
+        SettingsError: A value is not legal, or a class cannot be imported or made.
+        PolicyError: The policy is none.
+        CheckpointError: The checkpoint cannot be read, or does not fit the keywords.
+    """
+    env_id = env_id_of(env_id)
+    named = isinstance(policy, str | os.PathLike)
+    if isinstance(policy, str):
+        check_name(policy)
+    actor = None if named else as_policy(policy)
+    keywords = keywords_for(policy if actor is None else actor, env_id, keywords)
+    if named:
+        actor = load_named(policy, env_id, keywords)  # before anything is connected or a folder of the run is made
+    with wrong_types_named(env_id):
+        env = gym.make(env_id, **keywords)
+    if policy == "random":
+        return env, RandomPolicy(env.action_space, seed=seed)
+    return env, ZeroPolicy(env.action_space) if actor is None else actor
 
 
 def provenance(policy: Policy | str, env_id: str) -> dict[str, Any]:

@@ -3,11 +3,13 @@ import sys
 import numpy as np
 import pytest
 
-from dual_ur10.errors import PolicyError, SettingsError, UnknownNameError
-from dual_ur10.policies import evaluate, load
-from dual_ur10.policies.registry import check_name, is_class
+from dual_ur10.errors import CheckpointError, PolicyError, SettingsError, UnknownNameError
+from dual_ur10.policies import evaluate, load, make, rollout
+from dual_ur10.policies.learned import checkpoint
+from dual_ur10.policies.registry import check_name, is_class, keywords_for
+from dual_ur10.sim2real.config.cell import CellConfig
+from tests.policies.learned.checkpoints import SINE, parts
 
-SINE = "DualUR10/SineTracking-v0"
 OWN = """
 import numpy as np
 
@@ -82,3 +84,54 @@ def test_names_and_paths_are_no_classes(tmp_path, monkeypatch):
     check_name("zero")
     with pytest.raises(UnknownNameError):
         check_name("a:b:C")
+
+
+UNUSUAL = {
+    "observation": "goals",
+    "action_mode": "tcp_delta",
+    "action_scale": 0.5,
+    "action_latency_ticks": 5,
+    "policy_rate_hz": 12.5,
+    "compensate_lag": False,
+    "robot": ("ur5e", "ur5e"),
+}
+"""Keywords that decide what a policy observes and what its actions mean, none of them the default."""
+
+
+@pytest.fixture
+def unusual(tmp_path):
+    """Return the folder of a checkpoint that was made for an unusual environment."""
+    checkpoint.save(tmp_path / "unusual", *parts(SINE, **UNUSUAL))
+    return tmp_path / "unusual"
+
+
+@pytest.mark.parametrize("name", ["scripted", "learned", "random", "zero", lambda _: np.zeros(12)])
+def test_a_pair_of_environment_and_policy_fits(name):
+    env, policy = make(name, "SineTracking", max_episode_steps=3)
+    with env:
+        assert rollout(env, policy, seed=0).steps == 3
+        assert env.unwrapped.core.setup.latency_ticks == (5 if name == "learned" else 0)
+
+
+def test_an_environment_has_all_that_its_checkpoint_was_made_for(unusual):
+    for policy in (unusual, str(unusual), checkpoint.load(unusual)):
+        assert keywords_for(policy, SINE, {}) == UNUSUAL
+    env, policy = make(unusual, SINE, max_episode_steps=2, disable_env_checker=True)
+    with env:
+        assert rollout(env, policy, seed=0).steps == 2
+        setup = env.unwrapped.core.setup
+    assert [mount.robot for mount in (setup.config.left, setup.config.right)] == ["ur5e", "ur5e"]
+    assert (setup.options.action_scale, setup.ticks, setup.latency_ticks) == (0.5, 40, 5)
+    found = evaluate(SINE, str(unusual), episodes=1, env_kwargs={"max_episode_steps": 2})
+    assert UNUSUAL.items() <= found.kwargs.items()
+
+
+def test_keywords_that_are_stated_come_before_those_of_a_checkpoint(unusual):
+    assert keywords_for(unusual, SINE, {"action_scale": 0.25})["action_scale"] == 0.25
+    with pytest.raises(CheckpointError, match="action_latency_ticks"):
+        make(unusual, SINE, action_latency_ticks=4)
+
+
+def test_a_cell_keeps_its_arms_and_its_latency(unusual):
+    assert not {"robot", "action_latency_ticks"} & keywords_for(unusual, SINE, {"cell": "lab.toml"}).keys()
+    assert "robot" not in keywords_for(unusual, SINE, {"cell": CellConfig()})

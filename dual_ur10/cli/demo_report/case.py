@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 
 from dual_ur10 import policies
@@ -180,8 +179,8 @@ class Task:
 
 def make(case: Case, **keywords: Any) -> tuple[Any, Policy]:
     """Return environment and scripted policy of a case."""
-    env = gym.make(case.env_id, **case.keywords, **keywords)
-    policy: Any = policies.load("scripted", case.env_id, **case.keywords)
+    policy: Any
+    env, policy = policies.make("scripted", case.env_id, **case.keywords, **keywords)
     if not case.learn:
         policy.learn = False
     return env, policy

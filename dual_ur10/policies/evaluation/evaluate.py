@@ -25,7 +25,7 @@ from dual_ur10.policies.evaluation.rollout import act
 from dual_ur10.policies.learned.checkpoint import warn_outside
 from dual_ur10.policies.learned.learned_policy import LearnedPolicy
 from dual_ur10.policies.policy import EpisodeAware, Policy, as_policy, policy_name
-from dual_ur10.policies.registry import check_name, load_named, provenance, with_latency, wrong_types_named
+from dual_ur10.policies.registry import check_name, keywords_for, load_named, provenance, wrong_types_named
 from dual_ur10.types import Array, Mask
 
 UNITS = ("_m", "_rad", "_n", "_s")
@@ -64,8 +64,8 @@ def evaluate(
         episodes: Number of episodes, 1 or more.
         seed: Seed of the first episode, 0 or more.
         num_envs: Number of parallel episodes.
-        env_kwargs: Keywords of the environment. In simulation, the latency of a learned policy is that which it was
-            made for, unless they state one. They include `threads` and `max_episode_steps` of its vector form. With
+        env_kwargs: Keywords of the environment. Unless they state them, it has those that a learned policy needs, as
+            of `dual_ur10.policies.make`. They include `threads` and `max_episode_steps` of its vector form. With
             `record`, `num_envs` must be 1: only one cell can be recorded.
         max_steps: Steps after which an episode that has not ended is an error. None: 600 s of simulated time, or twice
             the task's `duration_s` if that is longer.
@@ -93,7 +93,7 @@ def evaluate(
     given = keywords
     if keywords.get("record") is not None and env_id in gym.registry:
         given = {"record_about": provenance(policy, env_id), **keywords}
-    given = with_latency(policy, env_id, given) if env_id in gym.registry else given
+    given = keywords_for(policy, env_id, given) if env_id in gym.registry else given
     keywords = {name: value for name, value in given.items() if name not in _RECORD}
     actor = load_named(policy, env_id, keywords)  # before anything is connected or a folder of the run is made
     env = _make(env_id, min(num_envs, episodes), given)

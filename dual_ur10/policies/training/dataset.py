@@ -17,7 +17,7 @@ from dual_ur10.policies.evaluation.evaluate import actor_of
 from dual_ur10.policies.evaluation.minari_export import to_minari
 from dual_ur10.policies.learned.signature import EnvironmentView, view_of
 from dual_ur10.policies.policy import EpisodeAware
-from dual_ur10.policies.registry import load_named, with_latency
+from dual_ur10.policies.registry import keywords_for, load_named
 from dual_ur10.policies.training.settings import check_simulated
 from dual_ur10.sim2real.recording.header import describe
 from dual_ur10.sim2real.recording.run import ArmLog, Episode, Run
@@ -70,7 +70,7 @@ def collect(
     check_new(dataset_id)
     env_id, keywords = env_id_of(env_id), dict(env_kwargs or {})
     check_simulated(keywords, "collecting from a policy", "record a rollout with --cell, or collect with an operator")
-    keywords = with_latency(policy, env_id, keywords)
+    keywords = keywords_for(policy, env_id, keywords)
     loaded = load_named(policy, env_id, keywords)
     env = DualArmVectorEnv(
         min(envs, episodes),

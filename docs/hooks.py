@@ -1,10 +1,14 @@
-"""Pages, tables and navigation that MkDocs generates: command line, cell file, errors, robots, list of decisions."""
+"""Pages, tables and navigation that MkDocs generates: tasks, command line, cell file, errors, robots, decisions."""
 
 from __future__ import annotations
 
+import dataclasses
+import importlib.util
 import inspect
+import json
 import re
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -118,7 +122,83 @@ def _default(parameter: inspect.Parameter) -> str:
     return "" if parameter.default is inspect.Parameter.empty else f"={parameter.default!r}"
 
 
+def slug(env_id: str) -> str:
+    """Return the name of a task's page: "sync-carry" of "DualUR10/SyncCarry-v0"; other namespaces come first."""
+    space, name = env_id.rsplit("-v", 1)[0].split("/")
+    words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "-", name).lower()
+    return words if space == "DualUR10" else f"{space.lower()}-{words}"
+
+
+def task_page(env_id: str, folder: Path) -> str:
+    """Return the page of a task: how it looks, who solves it, what is observed, how to change it, and its reference."""
+    import jinja2
+
+    from dual_ur10.envs.core.setup import load_task
+    from dual_ur10.ids import TASKS
+    from dual_ur10.policies.registry import names_for
+
+    task, path = load_task(env_id), TASKS[env_id].task
+    name = env_id.partition("/")[2].rpartition("-v")[0]
+    policies = names_for(env_id)
+    layout = task.layout_for(task.settings_type())
+    goals = path.partition(":")[0].rpartition(".")[0] + ".goals"
+    scratch = f"images/learning_{slug(env_id)}_from_scratch.png"
+    table = re.search(
+        rf"^### Policies of {name}\n\n((?:\|.*\n)+)", (folder / "reference" / "benchmarks.md").read_text(), re.MULTILINE
+    )
+    record = folder / "media" / "media.json"
+    template = jinja2.Template((folder / "task.j2").read_text(), keep_trailing_newline=True)
+    return template.render(
+        env_id=env_id,
+        name=name,
+        short=name if env_id.startswith("DualUR10/") else env_id,
+        slug=slug(env_id),
+        summary=summary_of(task),
+        media=[each for each in json.loads(record.read_text()) if each["env_id"] == env_id] if record.exists() else [],
+        policies=policies,
+        best="learned" if "learned" in policies else [*policies, "random"][0],
+        baselines=table[1] if table else "",
+        curves=curves_of(env_id),
+        scratch=scratch if (folder / scratch).exists() else "",
+        layout=layout,
+        view=[each.name for each in layout.fields if each.concise],
+        weights=task.weights,
+        success={
+            each.name: each.default
+            for each in dataclasses.fields(task.settings_type)
+            if each.name.startswith("success_") and isinstance(each.default, float)
+        },
+        path=path.replace(":", "."),
+        goals=goals if importlib.util.find_spec(goals) else "",
+    )
+
+
+def summary_of(task: Any) -> str:
+    """Return the first sentence of a task's documentation."""
+    return " ".join((inspect.getdoc(task) or "").partition("\n\n")[0].split())
+
+
+def curves_of(env_id: str) -> dict[str, Path]:
+    """Return the learning curves of the policies that come with a task, by their names."""
+    from dual_ur10.policies.registry import shipped_folder, shipped_names
+
+    curves = {name: shipped_folder(name, env_id) / "curve.png" for name in shipped_names(env_id)}
+    return {name: path for name, path in curves.items() if path.exists()}
+
+
+def task_table() -> str:
+    """Return the table of all tasks, each with a link to its page."""
+    from dual_ur10.envs.core.setup import load_task
+    from dual_ur10.ids import TASKS
+
+    rows = [("id", "task")]
+    for env_id in TASKS:
+        rows.append((f"[`{env_id}`](../tasks/{slug(env_id)}.md)", summary_of(load_task(env_id))))
+    return _table(rows)
+
+
 TABLES = {
+    "reference/environments.md": ("<!-- table of tasks -->", task_table),
     "reference/robots.md": ("<!-- table of robots -->", robots),
     "reference/urscript.md": ("<!-- table of URScript -->", urscript),
 }
@@ -151,7 +231,10 @@ def decisions(folder: Path) -> str:
 
 def pages(folder: Path) -> dict[str, Callable[[], str]]:
     """Return the functions that generate the pages of this folder, by page."""
+    from dual_ur10.ids import TASKS
+
     return {
+        **{f"tasks/{slug(env_id)}.md": partial(task_page, env_id, folder) for env_id in TASKS},
         "reference/cli.md": command_line,
         "reference/cell-file.md": cell_file,
         "reference/errors.md": errors,
@@ -160,14 +243,22 @@ def pages(folder: Path) -> dict[str, Callable[[], str]]:
 
 
 def on_config(config: Any) -> Any:
-    """Add the decision records to the navigation, which then shows them beside each other."""
+    """Add the tasks and the decision records to the navigation."""
+    from dual_ur10.ids import TASKS
+
+    config["nav"].insert(1, {"Tasks": [f"tasks/{slug(env_id)}.md" for env_id in TASKS]})
     records = sorted(path.name for path in (Path(config["docs_dir"]) / "decisions").glob("*.md"))
     config["nav"].append({"Decisions": ["decisions/index.md", *(f"decisions/{name}" for name in records)]})
     return config
 
 
 def on_files(files: Files, config: Any) -> Files:
-    """Add the generated pages."""
+    """Add the generated pages, and the learning curves of the policies that come with the package."""
+    from dual_ur10.ids import TASKS
+
     for name, page in pages(Path(config["docs_dir"])).items():
         files.append(File.generated(config, name, content=page()))
+    for env_id in TASKS:
+        for name, path in curves_of(env_id).items():
+            files.append(File.generated(config, f"tasks/{slug(env_id)}-{name}.png", abs_src_path=str(path)))
     return files

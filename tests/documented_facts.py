@@ -24,10 +24,15 @@ SOURCES = [
     (BENCHMARKS, r"^\| nominal \| \S+ mm \| (?P<nominal_rms>\S+) mm"),
     (BENCHMARKS, r"^\| perturbed \| \S+ mm \| (?P<perturbed_rms>\S+) mm \| (?P<perturbed_angle>\S+)°"),
     (BENCHMARKS, r"^\*Random plants\*[^*]*\*\*(?P<carried>\d+ of \d+)\*\* episodes succeed"),
+    (BENCHMARKS, r"^\| known \| (?P<handed_known>\d+ of \d+) \|"),
     (BENCHMARKS, r"^\| noisy \| (?P<handed>\d+ of \d+) \|[^|]*\| (?P<handed_s>\S+) /"),
-    (TRUE_ERRORS, r"^\| wide \| (?P<wide_script>\d+ of \d+) \|"),
+    (TRUE_ERRORS, r"^\| wide \| (?P<wide_script>\d+ of \d+) \| (?P<wide_script_mm>\d\.\d\d)"),
+    (TRUE_ERRORS, r"^\| mild \| (?P<mild_script>\d+ of \d+) \| (?P<mild_script_mm>\d\.\d\d)"),
     (TRUE_ERRORS, r"^\| wide, bases and age as in mild \| \*\*(?P<wide_known>\d+ of \d+)\*\*"),
-    (BENCHMARKS, r'^- SineTracking, "wide", default path: (?P<wide_learned>\d+ and \d+) of 300'),
+    (
+        BENCHMARKS,
+        r'^- SineTracking, "wide", default path: (?P<wide_learned>(?P<wide_one>\d+) and (?P<wide_two>\d+)) of 300',
+    ),
     (
         BENCHMARKS,
         r"^- PPO from scratch, SineTracking \([^)]*\): success in (?P<ppo_sine>\d+ of \d+) episodes with each, "
@@ -39,8 +44,8 @@ SOURCES = [
         r"lifted in (?P<lifted0>\d+), (?P<lifted1>\d+) and (?P<lifted2>\d+) %, "
         r"handed over in (?P<handed0>\d+), (?P<handed1>\d+) and (?P<handed2>\d+) %, "
         r"placed in (?P<placed0>\d+), (?P<placed1>\d+) and (?P<placed2>\d+) %, "
-        r"[\s\S]*? success in (?P<ppo_handover>\d+, \d+ and \d+ of \d+)\. "
-        r"(?P<ppo_handover_minutes>\d+, \d+ and \d+) minutes",
+        r"[\s\S]*? success in (?P<ppo_handover>(?P<ppo0>\d+), (?P<ppo1>\d+) and (?P<ppo2>\d+) of \d+)\. "
+        r"(?P<ppo_handover_minutes>(?P<ppo0_min>\d+), (?P<ppo1_min>\d+) and (?P<ppo2_min>\d+)) minutes",
     ),
     (
         BENCHMARKS,
@@ -49,9 +54,11 @@ SOURCES = [
     ),
     (
         BENCHMARKS,
-        r"^- Stock Stable-Baselines3, SineTracking, the README's [^)]*\): success in (?P<stock>\d+, \d+ and \d+ of 100) "
-        r"episodes, [^%]*% of the return, flange errors of (?P<stock_mm>\S+ \S+ and \S+) mm, after (?P<stock_steps>\S+) steps and "
-        r"(?P<stock_minutes>\S+ \S+ and \S+) minutes",
+        r"^- Stock Stable-Baselines3, SineTracking, the README's [^)]*\): success in "
+        r"(?P<stock>(?P<stock0>\d+), (?P<stock1>\d+) and (?P<stock2>\d+) of 100) episodes, [^%]*% of the return, "
+        r"flange errors of (?P<stock_mm>(?P<stock0_mm>\S+), (?P<stock1_mm>\S+) and (?P<stock2_mm>\S+)) mm, after "
+        r"(?P<stock_steps>\S+) steps and "
+        r"(?P<stock_minutes>(?P<stock0_min>\S+), (?P<stock1_min>\S+) and (?P<stock2_min>\S+)) minutes",
     ),
     (BENCHMARKS, r"^- Twenty demonstrations, .*: (?P<twenty>\d+ of \d+) .* in (?P<twenty_minutes>\S+) minutes"),
     (
@@ -274,8 +281,8 @@ STATEMENTS = [
     ("docs/explanation/learnable-tasks.md", "{handover_wide} of 300, and in {handover_mild} of 300 under"),
 ]
 for row, label, name in (
-    ("| `learned` | SineTracking |", "SineTracking, `learned`", "sine"),
-    ("| `learned-two-agents` | SineTracking, one network per arm |", "SineTracking, `learned-two-agents`", "agents"),
+    ("| `learned` | SineTracking |", "`learned`", "sine"),
+    ("| `learned-two-agents` | SineTracking, one network per arm |", "`learned-two-agents`", "agents"),
 ):
     STATEMENTS += [
         (
@@ -286,7 +293,12 @@ for row, label, name in (
         (
             BENCHMARKS,
             f"| {label} | mild | {{{name}_mild}} of 300 | {{{name}_mild_ci}} | {{{name}_mild_mm}} mm | "
-            f"{{{name}_min}} min, {{{name}_memory}} | | | mild, random path | {{{name}_paths}} of 300 |",
+            f"{{{name}_min}} min, {{{name}_memory}} |",
+        ),
+        (BENCHMARKS, f"| {label} | mild, random path | {{{name}_paths}} of 300 |"),
+        (
+            BENCHMARKS,
+            f"| {label} | nominal | {{{name}_nominal}} of 300 | {{{name}_nominal_ci}} | {{{name}_nominal_mm}} mm |",
         ),
     ]
 STATEMENTS += [
@@ -294,9 +306,24 @@ STATEMENTS += [
     (TRAIN, "| {carry_mild} / {carry_nominal} | | {carry_min} min, {carry_memory} |"),
     (TRAIN, '| Handover, trained on "wide" plants; there {handover_wide} | {handover_mild} / {handover_nominal} |'),
     (TRAIN, "| {handover_mild} / {handover_nominal} | | {handover_min} min |"),
-    (BENCHMARKS, "| SyncCarry, `learned` | mild | {carry_mild} of 300 | {carry_mild_ci} | | {carry_min} min, "),
-    (BENCHMARKS, "| Handover, `learned` | mild | {handover_mild} of 300 | {handover_mild_ci} | | {handover_min} min |"),
-    (BENCHMARKS, "| | nominal, pose known | {handover_nominal} of 300 | {handover_nominal_ci} | | |"),
-    (BENCHMARKS, "| | wide | {carry_wide} of 300 | {carry_wide_ci} | | | | Handover"),
-    (BENCHMARKS, "| | wide | {handover_wide} of 300 | {handover_wide_ci} | | | - SineTracking"),
+    (BENCHMARKS, "| `learned` | mild | {carry_mild} of 300 | {carry_mild_ci} | {carry_min} min, {carry_memory} |"),
+    (BENCHMARKS, "| `learned` | wide | {carry_wide} of 300 | {carry_wide_ci} | | | PPO"),
+    (BENCHMARKS, "| `learned` | mild | {handover_mild} of 300 | {handover_mild_ci} | {handover_min} min |"),
+    (BENCHMARKS, "| `learned` | nominal, pose known | {handover_nominal} of 300 | {handover_nominal_ci} | |"),
+    (BENCHMARKS, "| `learned` | wide | {handover_wide} of 300 | {handover_wide_ci} | | | PPO"),
+    # The other baselines, measured elsewhere.
+    (BENCHMARKS, "| `scripted` | mild | {mild_script} | 98.7 to 100 % | {mild_script_mm} mm |"),
+    (BENCHMARKS, "| `scripted` | wide | {wide_script} | 34.3 to 45.3 % | {wide_script_mm} mm |"),
+    (BENCHMARKS, "| `scripted` | mild | {carried} | 98.7 to 100 % | – |"),
+    (BENCHMARKS, "| `scripted` | nominal, pose known | {handed_known} |"),
+    (BENCHMARKS, "| `scripted` | nominal, pose noisy | {handed} |"),
+    (BENCHMARKS, "| `learned` | wide | {wide_one} of 300 |"),
+    (BENCHMARKS, "| `learned-two-agents` | wide | {wide_two} of 300 |"),
+    (BENCHMARKS, "| nominal | {ppo_sine} | 98.7 to 100 % | – | {ppo_minutes} min |"),
+    (BENCHMARKS, "| nominal | {ppo_carry} | 96.3 to 100 % | {carry0}, {carry1} and {carry2} min |"),
+    *((BENCHMARKS, f"seed {seed} | nominal | {{ppo{seed}}} of 300 |") for seed in range(3)),
+    *((BENCHMARKS, f"% | {{ppo{seed}_min}} min |") for seed in range(3)),
+    *((BENCHMARKS, f"seed {seed} | nominal | {{stock{seed}}} of 100 |") for seed in range(3)),
+    *((BENCHMARKS, f"% | {{stock{seed}_mm}} mm | {{stock{seed}_min}} min |") for seed in range(3)),
+    (BENCHMARKS, "| imitation of twenty demonstrations | wide | {twenty} | 84.2 to 91.5 % | {twenty_minutes} min |"),
 ]

@@ -27,7 +27,8 @@ from tests import documented_facts
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
-GENERATED = {"reference/cli.md", "reference/cell-file.md", "reference/errors.md", "decisions/index.md"}
+TASK_PAGES = {f"tasks/{name}.md" for name in ("sine-tracking", "sync-carry", "handover", "free")}
+GENERATED = {"reference/cli.md", "reference/cell-file.md", "reference/errors.md", "decisions/index.md", *TASK_PAGES}
 FAULTS = 63
 
 
@@ -156,6 +157,47 @@ def test_pictures_have_a_text(path):
 def test_generated_lists_and_tables_do_not_run_into_a_paragraph(name):
     pytest.importorskip("mkdocs")
     assert broken_lists(hooks().pages(DOCS)[name]()) == []
+
+
+def test_each_task_has_a_page_also_one_that_is_registered_later(monkeypatch):
+    pytest.importorskip("mkdocs")
+    assert hooks().pages(DOCS).keys() == GENERATED
+    monkeypatch.setitem(TASKS, "MyLab/PegHandover-v3", TASKS["DualUR10/Handover-v0"])
+    nav = hooks().on_config({"nav": [], "docs_dir": DOCS})["nav"]
+    assert "tasks/mylab-peg-handover.md" in nav[0]["Tasks"]
+    page = hooks().pages(DOCS)["tasks/mylab-peg-handover.md"]()
+    assert page.startswith("# PegHandover\n")
+    assert "python -m dual_ur10 view MyLab/PegHandover-v3 --policy learned" in page
+    assert "## Baselines" not in page  # nothing was measured
+
+
+@pytest.mark.parametrize("name", ["handover", "free"])
+def test_the_code_on_the_page_of_a_task_runs(name, monkeypatch, workplace):
+    pytest.importorskip("mkdocs")
+    monkeypatch.chdir(workplace)
+    page = hooks().pages(DOCS)[f"tasks/{name}.md"]()
+    written = workplace / f"{name}.md"
+    written.write_text(page)
+    start, change = blocks(written, "python")
+    for code in (start, change) if name == "free" else (change,):
+        exec(code, {})
+    for line in "\n".join(blocks(written, "sh")).splitlines():
+        parse(shlex.split(line)[3:])
+
+
+def test_intervals_of_success_are_those_of_their_counts():
+    """Each row of a table with "k of n" and an interval has Wilson's."""
+    checked = 0
+    for path in [DOCS / "reference" / "benchmarks.md", *(ROOT / documented_facts.CARDS).rglob("card.md")]:
+        for row in re.findall(r"^\|.*\d of \d.*\|$", path.read_text(), re.MULTILINE):
+            found = re.search(r"\| (\d+) of (\d+) \| (?:95 % )?([\d.]+) to ([\d.]+) % \|", row)
+            if found:
+                k, n, z2 = int(found[1]), int(found[2]), 1.959964**2
+                middle, width = k + z2 / 2, (z2 * (k * (n - k) / n + z2 / 4)) ** 0.5
+                low, high = (f"{100 * (middle + each) / (n + z2):.1f}" for each in (-width, width))
+                assert (found[3], found[4]) == (low, high.replace("100.0", "100")), row
+                checked += 1
+    assert checked > 30
 
 
 def test_only_short_keys_of_tables_stay_in_one_line():

@@ -277,7 +277,7 @@ def keywords_for(policy: Policy | str | os.PathLike[str], env_id: str, keywords:
     if manifest is None:
         return dict(keywords)
     signature = manifest.signature
-    needed = {name: signature.kwargs[name] for name in _INTERFACE if name in signature.kwargs}
+    needed: dict[str, Any] = {name: signature.kwargs[name] for name in _INTERFACE if name in signature.kwargs}
     cell = keywords.get("cell", "mujoco")
     simulated = isinstance(cell, CellConfig) or (isinstance(cell, str) and cell in CELL_KINDS)
     kind = cell.kind if isinstance(cell, CellConfig) else cell
@@ -311,13 +311,12 @@ def make(
         CheckpointError: The checkpoint cannot be read, or does not fit the keywords.
     """
     env_id = env_id_of(env_id)
-    named = isinstance(policy, str | os.PathLike)
     if isinstance(policy, str):
         check_name(policy)
-    actor = None if named else as_policy(policy)
-    keywords = keywords_for(policy if actor is None else actor, env_id, keywords)
-    if named:
-        actor = load_named(policy, env_id, keywords)  # before anything is connected or a folder of the run is made
+    given = policy if isinstance(policy, str | os.PathLike) else as_policy(policy)
+    keywords = keywords_for(given, env_id, keywords)
+    # Before anything is connected or a folder of the run is made.
+    actor = load_named(given, env_id, keywords) if isinstance(given, str | os.PathLike) else given
     with wrong_types_named(env_id):
         env = gym.make(env_id, **keywords)
     if policy == "random":

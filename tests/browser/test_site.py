@@ -21,7 +21,13 @@ WIDER = """() => [
 ]"""
 """Texts of the tables and code that are wider than the page, and pictures that have no text or are missing."""
 
-NARROW = {"reference/environments", "reference/benchmarks", "explanation/architecture", "explanation/real-arms"}
+NARROW = {
+    "reference/environments",
+    "reference/benchmarks",
+    "explanation/architecture",
+    "explanation/real-arms",
+    *(f"tasks/{name}" for name in ("sine-tracking", "sync-carry", "handover", "free")),
+}
 """Pages with tables of seven columns or drawings, which scroll on a telephone."""
 
 

@@ -74,10 +74,9 @@ def test_neighbours_never_touch(model):
         )
     }
     own = set()
-    for q in random_q(np.random.default_rng(1), 1500):
-        for a, b in contacts(model, q):
-            if a.split("/")[0] == b.split("/")[0]:
-                own.add(frozenset((a.split("/")[1], b.split("/")[1])))
+    for a, b in contacts(model, random_q(np.random.default_rng(1), 1500)):
+        if a.split("/")[0] == b.split("/")[0]:
+            own.add(frozenset((a.split("/")[1], b.split("/")[1])))
     assert not own & filtered
     assert frozenset(("wrist_3_link", "shoulder_link")) in own  # the filter does not hide real self-collision
 
@@ -87,9 +86,7 @@ def test_every_possible_contact_is_measured(apart_m):
     settings = SceneSettings(left=ArmMount((-0.75, apart_m / 2, 0.0)), right=ArmMount((-0.75, -apart_m / 2, -0.5)))
     model = build_model(settings)
     measured = {tuple(sorted(pair)) for pair in clearance_pairs(SceneSettings())}
-    seen = set()
-    for q in random_q(np.random.default_rng(2), 1500):
-        seen |= contacts(model, q)
+    seen = contacts(model, random_q(np.random.default_rng(2), 1500))
     assert seen <= measured
     assert len(seen) > len(measured) / 3
 

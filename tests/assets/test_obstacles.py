@@ -59,11 +59,11 @@ def signed(obstacle: Obstacle, points: np.ndarray) -> np.ndarray:
 
 
 def nearest(obstacle: Obstacle, ends: np.ndarray) -> np.ndarray:
-    """Return least distances (k,) of lines (k, 2, 3) by ternary search: convex bodies have convex distances."""
-    low, high = np.zeros(len(ends)), np.ones(len(ends))
+    """Return least distances (...) of lines (..., 2, 3) by ternary search: convex bodies have convex distances."""
+    low, high = np.zeros(ends.shape[:-2]), np.ones(ends.shape[:-2])
 
     def at(t: np.ndarray) -> np.ndarray:
-        return signed(obstacle, ends[:, 0] + t[:, None] * (ends[:, 1] - ends[:, 0]))
+        return signed(obstacle, ends[..., 0, :] + t[..., None] * (ends[..., 1, :] - ends[..., 0, :]))
 
     for _ in range(45):
         first, second = low + (high - low) / 3, high - (high - low) / 3
@@ -79,41 +79,36 @@ def test_distances_are_those_of_the_shapes() -> None:
     clearance = Clearance(settings)
     names = [f"{arm}/{part}" for arm in ARMS for part in (*LINKS, "palm")]
     geoms = [model.geom(name).id for name in names]
+    boxes = [model.geom(f"{arm}/fingers").id for arm in ARMS]
     radius, half = model.geom_size[geoms, 0], model.geom_size[geoms, 1]
-    row = {pair: i for i, pair in enumerate(clearance.pairs)}
     corners = np.stack(np.meshgrid(*[np.linspace(-1, 1, 9)] * 3), axis=-1).reshape(-1, 3)
     rng = np.random.default_rng(0)
-    apart, overlapping = np.zeros(len(ALL), dtype=int), np.zeros(len(ALL), dtype=int)
-    for q in (*random_q(rng, scaled(1000)), *(HOME_Q_RAD + rng.uniform(-0.8, 0.8, (scaled(3000), 2, 6)))):
-        found = clearance.measure(q.reshape(1, 12)).distances_m[0]
+    drawn = [*random_q(rng, scaled(1000)), *(HOME_Q_RAD + rng.uniform(-0.8, 0.8, (scaled(3000), 2, 6)))]
+    found = clearance.measure(np.reshape(drawn, (-1, 12))).distances_m
+    ends, points = [], []  # of the lines in the capsules, and all over the fingers' boxes
+    for q in drawn:
         data.qpos[:] = q.ravel()
         mujoco.mj_kinematics(model, data)
         axes = data.geom_xmat[geoms].reshape(-1, 3, 3)[:, :, 2] * half[:, None]
-        ends = np.stack([data.geom_xpos[geoms] - axes, data.geom_xpos[geoms] + axes], axis=1)
-        for k, obstacle in enumerate(ALL):
-            for name, true in zip(names, nearest(obstacle, ends) - radius, strict=True):
-                measured = found[row[name, geom_name(obstacle)]]
-                # Spheres represent the wrists at boxes: nearer by half their length at most.
-                slack = 0.0126 if "wrist" in name and isinstance(obstacle, Box) else 0.0
-                if true > 0.0:
-                    assert min(true - slack, CLEARANCE_CUTOFF_M) - 1e-6 <= measured <= true + 1e-6, (name, obstacle)
-                    apart[k] += true < CLEARANCE_CUTOFF_M
-                else:
-                    assert measured < 1e-6, (name, obstacle)
-                    overlapping[k] += 1
-            for arm in ARMS:
-                box = model.geom(f"{arm}/fingers").id
-                points = data.geom_xpos[box] + corners * model.geom_size[box] @ data.geom_xmat[box].reshape(3, 3).T
-                true = signed(obstacle, points).min()  # at points of the box: an upper bound
-                measured = found[row[f"{arm}/fingers", geom_name(obstacle)]]
-                if true > 0.0:
-                    slack = 0.037 if isinstance(obstacle, Capsule) else 0.0
-                    assert measured <= true + 1e-6
-                    assert measured >= min(true - slack, CLEARANCE_CUTOFF_M) - 0.009
-                else:
-                    assert measured < 1e-6
-    assert apart.min() > 30
-    assert overlapping.min() > 30
+        ends.append(np.stack([data.geom_xpos[geoms] - axes, data.geom_xpos[geoms] + axes], axis=1))
+        turned = [corners * model.geom_size[box] @ data.geom_xmat[box].reshape(3, 3).T for box in boxes]
+        points.append([data.geom_xpos[box] + each for box, each in zip(boxes, turned, strict=True)])
+    for obstacle in ALL:
+        true = nearest(obstacle, np.array(ends)) - radius
+        measured = found[:, [clearance.pairs.index((name, geom_name(obstacle))) for name in names]]
+        # Spheres represent the wrists at boxes: nearer by half their length at most.
+        slack = np.array([0.0126 if "wrist" in name and isinstance(obstacle, Box) else 0.0 for name in names])
+        apart = true > 0.0
+        assert (measured <= np.where(apart, true, 0.0) + 1e-6).all(), obstacle
+        assert (measured >= np.minimum(true - slack, CLEARANCE_CUTOFF_M) - 1e-6)[apart].all(), obstacle
+        assert (apart & (true < CLEARANCE_CUTOFF_M)).sum() > 30
+        assert (~apart).sum() > 30
+        true = signed(obstacle, np.array(points)).min(axis=-1)  # at points of the boxes: an upper bound
+        measured = found[:, [clearance.pairs.index((f"{arm}/fingers", geom_name(obstacle))) for arm in ARMS]]
+        slack = 0.037 if isinstance(obstacle, Capsule) else 0.0
+        apart = true > 0.0
+        assert (measured <= np.where(apart, true, 0.0) + 1e-6).all(), obstacle
+        assert (measured >= np.minimum(true - slack, CLEARANCE_CUTOFF_M) - 0.009)[apart].all(), obstacle
 
 
 def test_rods_through_the_fingers_have_negative_distances() -> None:
@@ -158,9 +153,7 @@ def test_every_contact_with_an_obstacle_is_a_measured_pair() -> None:
     measured = {tuple(sorted(pair)) for pair in clearance_pairs(settings)}
     for visuals in (True, False):
         model = build_model(settings, visuals=visuals)
-        seen = set()
-        for q in random_q(np.random.default_rng(2), 150):
-            seen |= contacts(model, q)
+        seen = contacts(model, random_q(np.random.default_rng(2), 150))
         assert seen <= measured
         touched = {frozenset((name.split("/")[0], other)) for pair in seen for name in pair for other in pair}
         assert all(any(geom_name(each) in pair for pair in seen) for each in ALL)

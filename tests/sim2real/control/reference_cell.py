@@ -60,11 +60,13 @@ def random_q(rng, n):
 
 
 def contacts(model, q):
-    """Return the pairs of geom names in contact at (2, 6) joint positions."""
-    data = mujoco.MjData(model)
-    data.qpos[:12] = np.ravel(q)
-    mujoco.mj_forward(model, data)
-    return {tuple(sorted((model.geom(c.geom1).name, model.geom(c.geom2).name))) for c in data.contact if c.dist < 0.0}
+    """Return the pairs of geom names in contact at any of the joint positions, (..., 2, 6)."""
+    data, found = mujoco.MjData(model), set()
+    for each in np.reshape(q, (-1, 12)):
+        data.qpos[:12] = each
+        mujoco.mj_forward(model, data)
+        found |= {tuple(pair) for pair in data.contact.geom[data.contact.dist < 0.0].tolist()}
+    return {tuple(sorted(model.geom(geom).name for geom in pair)) for pair in found}
 
 
 def segment(model, data, geom, n=2):

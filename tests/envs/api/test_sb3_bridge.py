@@ -32,9 +32,9 @@ def measured(info):
     return [info[name].tobytes() for name in ("q_rad", "flange_m")]
 
 
-@pytest.mark.parametrize("reward", ["shared", "individual"])
 @pytest.mark.parametrize(
-    ("mode", "latency"), [("joint_delta", 0), ("joint_delta", 3), ("tcp_delta", 0)], ids=lambda x: str(x)
+    ("mode", "latency", "reward"),
+    [("joint_delta", 0, "shared"), ("joint_delta", 3, "individual"), ("tcp_delta", 0, "individual")],
 )
 @pytest.mark.parametrize("env_id", IDS)
 def test_rows_are_the_agents_bit_for_bit_over_episodes(env_id, mode, latency, reward):

@@ -129,9 +129,13 @@ $(VENV)/.browser: $(VENV)/.dev
 test-page: $(VENV)/.browser $(KERNEL) | $(CHROMIUM)  ## the live page in a real browser, Debian's Chromium
 	@CHROMIUM=$(CHROMIUM) $(if $(shell command -v timeout),timeout -k 30 1200) $(VENV)/bin/python -m pytest tests/browser
 
-# What neither steps MuJoCo nor knows Gymnasium is the same with every version of them.
-test-oldest: $(OLDEST)/.dev $(KERNEL)  ## the tests again with MuJoCo 3.17 and Gymnasium 1.2.2, without those of controllers
-	@$(OLDEST)/bin/python -m pytest -n 2 --dist worksteal -m "not emulated" --ignore tests/ur_emulator --ignore tests/sim2real/control/test_adapter.py
+# What neither steps MuJoCo nor knows Gymnasium is the same with every version of them, and so are stops of the arms:
+# the other tests of tests/virtual run emulated cells.
+SAME_WITH_OLDEST = ur_emulator fuzz virtual/faults virtual/test_simulation.py virtual/test_point_stream.py \
+  $(addprefix sim2real/,calibration links processes protocol trajectory control/test_adapter.py control/test_pipeline.py)
+
+test-oldest: $(OLDEST)/.dev $(KERNEL)  ## the tests that step MuJoCo or know Gymnasium, with MuJoCo 3.17 and Gymnasium 1.2.2
+	@$(OLDEST)/bin/python -m pytest -n 2 --dist worksteal -m "not emulated" $(addprefix --ignore tests/,$(SAME_WITH_OLDEST))
 
 dist: $(VENV)/.dev  ## build wheel and sdist into out/dist, and check the sdist by building from it
 	@rm -rf out/dist

@@ -83,7 +83,7 @@ def test_gymnasium_checks_it_without_a_warning(kind):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warnings.simplefilter("ignore", ResourceWarning)  # of MuJoCo's web viewer, as in test_env
-        check_env(env.unwrapped)
+        check_env(env.unwrapped, skip_render_check=True)  # which environments without images pass
     env.close()
 
 
@@ -105,8 +105,9 @@ def test_stable_baselines_learns_from_images_and_numbers():
     assert model.predict(env.reset(seed=0)[0])[0].shape == (12,)
 
 
-@pytest.mark.parametrize("dtype", ["float64", "float32"])
-@pytest.mark.parametrize("kind", [*KINDS, "flat"])
+@pytest.mark.parametrize(
+    ("kind", "dtype"), [("pixels", "float64"), ("both", "float64"), ("both", "float32"), ("flat", "float32")]
+)
 def test_spaces_and_observations_fit(kind, dtype):
     env, envs = single(kind, observation_dtype=dtype), vector(3, kind, observation_dtype=dtype)
     state = gym.make(SINE, observation_dtype=dtype).observation_space
@@ -186,17 +187,15 @@ def test_an_environment_that_nobody_closes_ends_with_the_program(tmp_path):
     assert result.stderr == ""
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_drawing_changes_no_bit_of_the_physics(kind):
+def test_drawing_changes_no_bit_of_the_physics():
     keywords = {"render_mode": "rgb_array", "pixels_rate_hz": 12.5, "shadows": True}
-    plain, rendered = gym.make(SINE), single(kind, **keywords)
+    plain, rendered = gym.make(SINE), single("both", **keywords)
     left, right = plain.reset(seed=5), rendered.reset(seed=5)
     assert equal(left[1], right[1])
     for action in actions(6):
         left, right = plain.step(action), rendered.step(action)
         rendered.render()
-        if kind == "both":
-            assert np.array_equal(left[0], right[0]["state"])
+        assert np.array_equal(left[0], right[0]["state"])
         assert left[1:4] == right[1:4]
         assert equal(left[4], right[4])
         states = [each.unwrapped.core.cell._physics._batch.state for each in (plain, rendered)]

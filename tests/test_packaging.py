@@ -1,4 +1,5 @@
 import ast
+import functools
 import pathlib
 import re
 import subprocess
@@ -180,8 +181,15 @@ def _modules():
             yield name.removesuffix(".__init__").removeprefix("dual_ur10."), path
 
 
+@functools.cache
+def _nodes(path):
+    """Return what is asked of the syntax tree of a module: its imports and its functions."""
+    kinds = ast.Import | ast.ImportFrom | ast.FunctionDef
+    return [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, kinds)]
+
+
 def _imports(path):
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in _nodes(path):
         if isinstance(node, ast.Import):
             yield from (each.name for each in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:
@@ -210,7 +218,7 @@ def test_imports_run_downwards():
 def test_no_function_takes_an_arm_for_a_ur10():
     found = []
     for _, path in _modules():
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in _nodes(path):
             if isinstance(node, ast.FunctionDef):
                 defaults = [each for each in (*node.args.defaults, *node.args.kw_defaults) if each is not None]
                 if any(re.search(r"NOMINAL_DH|ur10\b", ast.unparse(each)) for each in defaults):

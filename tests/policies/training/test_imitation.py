@@ -109,7 +109,7 @@ def test_the_same_seed_gives_the_same_bits_on_any_number_of_threads(whole, tmp_p
     assert sha_of(train(small(rounds=3, seed=1), tmp_path / "other")) != sha_of(whole)
 
 
-@pytest.mark.parametrize("at", [0, 1, 2])
+@pytest.mark.parametrize("at", [0, 2])
 def test_an_interrupted_training_gives_the_same_result(whole, tmp_path, monkeypatch, at):
     real, calls = imitate.gather, []
 
@@ -232,7 +232,7 @@ def test_imitation_can_begin_with_a_checkpoint(whole, tmp_path):
         train(small("bc", rounds=1, init=str(whole), changes={"hidden": (8,)}), tmp_path / "wrong")
 
 
-@pytest.mark.parametrize("nth", [0, 1, 3])
+@pytest.mark.parametrize("nth", [0, 3])
 def test_a_full_disk_loses_no_saved_state(whole, tmp_path, monkeypatch, nth):
     real, count = os.fsync, []
 

@@ -13,10 +13,12 @@ from dual_ur10.testing import VirtualCell
 from tests.sim2real.trajectory.following import part, wave
 from tests.soak import SOAK
 
-COUNT = 334 if SOAK else 4  # of each of three kinds
-SEEDS = pytest.mark.parametrize("seed", range(COUNT))
 SERVOJ = 11
 TICK_S = 0.008
+
+
+def seeds(count):
+    return pytest.mark.parametrize("seed", range(334 if SOAK else count))
 
 
 @pytest.fixture
@@ -78,7 +80,7 @@ def check_on_path(feedback, trajectory):
     np.testing.assert_allclose(feedback.desired_q_rad, wanted, atol=3e-3 if trajectory.qd_rad_s is None else 5e-4)
 
 
-@SEEDS
+@seeds(2)
 def test_a_goal_is_cancelled(rng, cell, executor):
     trajectory = draw(rng)
     handle = executor.execute(trajectory)
@@ -93,7 +95,7 @@ def test_a_goal_is_cancelled(rng, cell, executor):
     check_rest(cell, executor)
 
 
-@SEEDS
+@seeds(4)
 def test_a_goal_is_replaced(rng, cell, executor):
     trajectory = draw(rng)
     first = executor.execute(trajectory)
@@ -116,7 +118,7 @@ def test_a_goal_is_replaced(rng, cell, executor):
     check_rest(cell, executor)
 
 
-@SEEDS
+@seeds(2)
 def test_a_stream_runs_out_of_points(rng, cell, executor):
     trajectory, known = draw(rng, points_per_s=25.0), 20
     last = int(rng.integers(known, len(trajectory)))
@@ -135,7 +137,7 @@ def test_a_stream_runs_out_of_points(rng, cell, executor):
     check_rest(cell, executor)
 
 
-@SEEDS
+@seeds(2)
 def test_a_pushed_joint_ends_the_goal_within_two_cycles(rng, cell, executor):
     """A torque on one joint, which stays, lets it leave its path at a random instant."""
     world, tolerance_rad, seen = cell.emulator.world, 3e-3, []

@@ -16,7 +16,7 @@ CORPUS = Path(__file__).parent / "corpus"
 MOST_BYTES = 300_000
 LENGTHS = (0, 1, 2**31, 2**32 - 1, 2**62, 2**64 - 1)
 VALUES = b"nan -inf true '' [] {} [[]] 1e400 -0.0 0x10 1_0 \0 \x1b \xc3\xa9 \xf0\x9f\x98\x80".split()
-COUNTS = {"cell_file": (500, 10_000), "record_file": (1_000, 50_000)}  # outside of a soak, and in one
+COUNTS = {"cell_file": (200, 10_000), "record_file": (400, 50_000)}  # outside of a soak, and in one
 
 
 @pytest.mark.parametrize("name", TARGETS)

@@ -202,7 +202,7 @@ class Connection:
         """End the connection. May be called twice.
 
         Args:
-            reason: Reason for the log; "" if the client ended it.
+            reason: Reason for the log; "" if the client or the emulator ended it.
             reset: Whether to send a reset instead of an end.
         """
         if not self.open:
@@ -317,7 +317,7 @@ class Port:
 
     def close(self) -> None:
         """Close the connections and stop listening."""
-        self.disconnect("the emulated cell ends")
+        self.disconnect("")
         self.refuse()
 
 

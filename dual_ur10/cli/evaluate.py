@@ -12,7 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsed
 from dual_ur10.cli.options import (
     RUNS,
     STOP_COMMANDED,
-    CellFileName,
+    CellName,
     EnvName,
     MinSuccess,
     NoRecord,
@@ -31,6 +31,7 @@ from dual_ur10.cli.options import (
     keywords_of,
     late_text,
     make_operator,
+    on_virtual,
     power_on,
     progress_of,
     randomize,
@@ -60,7 +61,7 @@ def evaluate(
     settings: Settings = None,
     randomization: Randomization = None,
     perturbed: Perturbed = False,
-    cell: CellFileName = None,
+    cell: CellName = None,
     arm: OneArm = None,
     power: PowerOn = False,
     record: Annotated[
@@ -78,7 +79,8 @@ def evaluate(
 
     With --cell, both arms move to the start of every episode; real ones after your yes to each of these motions.
     """
-    env_id, keywords = env_id_of(env), keywords_of(settings, perturbed, cell, arm)
+    env_id = env_id_of(env)
+    keywords = keywords_of(settings, perturbed, on_virtual(cell, env_id), arm)
     randomize(keywords, randomization)
     if no_record and record is not None:
         raise SettingsError("--record and --no-record do not go together: leave one out")

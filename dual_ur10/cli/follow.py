@@ -14,13 +14,14 @@ from rich.markup import escape
 from rich.table import Table
 
 from dual_ur10.cli.options import (
-    CellFileName,
+    CellName,
     Perturbed,
     PowerOn,
     console,
     errors,
     interrupts_noted,
     keywords_of,
+    on_virtual,
     power_on,
 )
 from dual_ur10.errors import SettingsError, TrajectoryError
@@ -87,7 +88,7 @@ _Record = Annotated[
 
 def follow(
     file: _FileIfAny = None,
-    cell: CellFileName = None,
+    cell: CellName = None,
     to: _To = None,
     retime: _Retime = False,
     duration: _Duration = None,
@@ -108,7 +109,7 @@ def follow(
     """
     from dual_ur10.envs.core.follower import home_of, make_follower
 
-    chosen = keywords_of(None, perturbed, cell).get("cell", "mujoco")
+    chosen = keywords_of(None, perturbed, on_virtual(cell, None)).get("cell", "mujoco")
     if file is None and to is None:
         raise SettingsError("there is nothing to follow: name a FILE, a configuration with --to, or both")
     if file is None and (retime or duration is not None):

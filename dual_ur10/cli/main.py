@@ -19,7 +19,7 @@ from dual_ur10.cli.follow import follow, follow_points, follow_serial
 from dual_ur10.cli.list import list_environments
 from dual_ur10.cli.live import live
 from dual_ur10.cli.new_task import new_task
-from dual_ur10.cli.options import console, errors, example_of
+from dual_ur10.cli.options import at_end, console, errors, example_of
 from dual_ur10.cli.records import compare, fit, replay
 from dual_ur10.cli.rollout import rollout
 from dual_ur10.cli.status import status
@@ -41,7 +41,8 @@ class _Commands(typer.core.TyperGroup):
 
     def invoke(self, ctx: Any) -> Any:
         try:
-            return super().invoke(ctx)
+            with at_end:
+                return super().invoke(ctx)
         except (DualUR10Error, gym.error.Error) as error:
             errors.print(f"[bold red]error:[/] [red]{escape(' '.join(str(error).split()))}[/]", soft_wrap=True)
             raise typer.Exit(USAGE_ERROR) from None

@@ -7,7 +7,7 @@ import json
 import signal
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 
 console = Console()
 errors = Console(stderr=True)
+
+at_end = ExitStack()
+"""Functions that are called at the end of a command."""
 
 RUNS = Path("runs")
 """Default folder of recorded runs."""
@@ -79,6 +82,15 @@ CellFileName = Annotated[
         "--cell", metavar="FILE", help="A cell file: run on its two controllers, not in MuJoCo. Or echo: a dry run."
     ),
 ]
+CellName = Annotated[
+    Path | None,
+    typer.Option(
+        "--cell",
+        metavar="FILE",
+        help="A cell file: run on its two controllers, not in MuJoCo. Or virtual: on two emulated controllers and a "
+        "virtual clock, faster than real time. Or echo: a dry run.",
+    ),
+]
 OneArm = Annotated[
     str | None, typer.Option("--arm", help="left or right: only this arm moves, the other holds. Needs --cell.")
 ]
@@ -119,8 +131,27 @@ def example_of(arguments: str) -> str:
     return f"Example: dual-ur10 {arguments}"
 
 
+def on_virtual(cell: Path | None, task: str | None) -> Any:
+    """Return the virtual cell that `--cell virtual` stands for, which ends with the command; another value unchanged.
+
+    Args:
+        cell: Value of the option.
+        task: Id of the environment; None: none.
+
+    Raises:
+        MissingExtraError: The extra `virtual` is not installed.
+    """
+    if str(cell) != "virtual":
+        return None if cell is None else str(cell)
+    from dual_ur10.testing import VirtualCell
+
+    made = VirtualCell(task=task)
+    at_end.callback(made.close)
+    return made
+
+
 def keywords_of(
-    settings: list[str] | None, perturbed: bool, cell: Path | None = None, arm: str | None = None
+    settings: list[str] | None, perturbed: bool, cell: Any = None, arm: str | None = None
 ) -> dict[str, Any]:
     """Return keywords of the environment from `KEY=VALUE` texts; values are Python literals or JSON, else text.
 
@@ -133,7 +164,7 @@ def keywords_of(
     if arm is not None and cell is None:
         raise SettingsError("--arm is for two controllers: name their cell file with --cell")
     if cell is not None:
-        keywords["cell"] = str(cell)
+        keywords["cell"] = str(cell) if isinstance(cell, Path) else cell
     if arm is not None:
         keywords["arm"] = arm
     if perturbed:

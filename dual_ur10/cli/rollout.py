@@ -12,7 +12,7 @@ from rich.table import Table
 
 from dual_ur10.cli.options import (
     RUNS,
-    CellFileName,
+    CellName,
     EnvName,
     MinSuccess,
     NoRecord,
@@ -33,6 +33,7 @@ from dual_ur10.cli.options import (
     keywords_of,
     late_text,
     make,
+    on_virtual,
     power_on,
     record_in,
 )
@@ -54,7 +55,7 @@ def rollout(
     min_success: MinSuccess = None,
     settings: Settings = None,
     perturbed: Perturbed = False,
-    cell: CellFileName = None,
+    cell: CellName = None,
     arm: OneArm = None,
     power: PowerOn = False,
     record: Record = RUNS,
@@ -64,7 +65,7 @@ def rollout(
     from dual_ur10.policies.evaluation.rollout import rollout as run_episode
 
     check_min_success(min_success)
-    keywords = keywords_of(settings, perturbed, cell, arm)
+    keywords = keywords_of(settings, perturbed, on_virtual(cell, env_id_of(env)), arm)
     if power:
         power_on(cell)
     if not no_record:

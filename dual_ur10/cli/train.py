@@ -291,14 +291,14 @@ def collect(
         _demonstrate(env, policy, operator, takeover, keywords, name, record, episodes, seed, about)
         return
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as drawn:
-        bar = drawn.add_task("running", total=episodes)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        bar = progress.add_task("running", total=episodes)
         well = 0
 
         def show(done: int, successes: int) -> None:
             nonlocal well
             well = successes
-            drawn.update(bar, completed=done, description=f"{successes} of {done} successful")
+            progress.update(bar, completed=done, description=f"{successes} of {done} successful")
 
         made = run(
             env_id,

@@ -22,6 +22,7 @@ from dual_ur10.policies.registry import shipped_names
 from dual_ur10.sim2real.processes.interrupts import INTERRUPTED
 from dual_ur10.sim2real.recording import run_folder
 from tests.cli.command import run
+from ur_emulator.virtual.virtual_cell import VirtualCell
 
 WAIT_S = 60.0
 SHORT = ("--set", "duration_s=0.4")
@@ -369,3 +370,19 @@ def test_ctrl_c_while_it_loads_is_one_line_and_code_130(module: str, tmp_path: A
 def test_importing_the_package_leaves_ctrl_c_to_the_program() -> None:
     code = "import signal, dual_ur10; assert signal.getsignal(signal.SIGINT) is signal.default_int_handler"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=WAIT_S)
+
+
+@pytest.mark.parametrize("command", [("rollout", "SineTracking", "-n", "1", *SHORT), ("follow", "--to", "home")])
+def test_a_command_runs_on_a_virtual_cell_and_ends_it(
+    command: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("rtde_control")
+    from dual_ur10 import testing
+
+    cells = []
+    monkeypatch.setattr(testing, "VirtualCell", lambda **options: cells.append(VirtualCell(**options)) or cells[-1])
+    code, text = run(*command, "--cell", "virtual")
+    assert code == 0, text
+    assert ("emulated cell" if command[0] == "rollout" else "the arms are there") in text
+    (cell,) = cells
+    assert cell._closed

@@ -1,5 +1,6 @@
 """Same conditions wherever the tests run."""
 
+import functools
 import inspect
 import os
 import random
@@ -88,11 +89,15 @@ def _names(function, seen):
     return names.union(*(_names(each, seen) for each in called if each.__module__ == function.__module__))
 
 
+@functools.cache
+def _is_starter(function):
+    return not _names(function, set()).isdisjoint(_STARTERS)
+
+
 def starts_controllers(item):
     """Check whether a test, one of its fixtures or a helper in their modules starts emulated controllers."""
     fixtures = [each.func for found in item._fixtureinfo.name2fixturedefs.values() for each in found]
-    used = set(item.fixturenames).union(*(_names(each, set()) for each in (item.function, *fixtures)))
-    return not used.isdisjoint(_STARTERS)
+    return not _STARTERS.isdisjoint(item.fixturenames) or any(map(_is_starter, (item.function, *fixtures)))
 
 
 def pytest_itemcollected(item):

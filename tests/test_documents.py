@@ -1,14 +1,12 @@
 """Documentation: links, code blocks that run, commands that parse, and the table of faults."""
 
 import ast
+import contextlib
 import importlib.util
-import os
 import pkgutil
 import re
 import shlex
 import shutil
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 from typing import get_args
@@ -22,7 +20,8 @@ from dual_ur10 import tasks
 from dual_ur10.cli.main import app
 from dual_ur10.ids import ENV_IDS, TASKS
 from dual_ur10.policies.training import settings
-from tests import documented_facts
+from tests import documented_facts, scripts
+from tests.cli.command import run
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -325,11 +324,12 @@ def test_the_fixtures_for_tests_of_users_are_named():
 def workplace(tmp_path_factory):
     """Return a folder with the cell file and the recorded run that the pages name."""
     folder = tmp_path_factory.mktemp("pages")
-    run = [sys.executable, "-m", "dual_ur10"]
-    new = [*run, "cell", "new", "lab.toml", "--left", "192.168.10.11", "--right", "192.168.10.12"]
-    roll = [*run, "rollout", "SineTracking", "--episodes", "1", "--set", "duration_s=1.0", "--record", "runs"]
-    for command in (new, roll):
-        subprocess.run(command, cwd=folder, check=True, timeout=120, capture_output=True)
+    new = ["cell", "new", "lab.toml", "--left", "192.168.10.11", "--right", "192.168.10.12"]
+    roll = ["rollout", "SineTracking", "--episodes", "1", "--set", "duration_s=1.0", "--record", "runs"]
+    with contextlib.chdir(folder):
+        for command in (new, roll):
+            code, text = run(*command)
+            assert code == 0, text
     (recorded,) = (folder / "runs").iterdir()
     shutil.move(recorded, folder / "runs" / "20260131T120000-SineTracking-v0-mujoco")
     return folder
@@ -339,20 +339,17 @@ PYTHON = [path for path in PAGES if any(blocks(path, "python"))]
 
 
 @pytest.mark.parametrize("path", PYTHON, ids=page_id)
-def test_python_blocks_run(path, workplace):
+def test_python_blocks_run(path, workplace, tmp_path):
     code = re.sub(r"\.learn\([\d_]+\)", ".learn(1024)", "\n".join(blocks(path, "python")))
     if "stable_baselines3" in code:
         pytest.importorskip("stable_baselines3")
     if any(each in code for each in ("EmulatedCell(", "emulated_cell", "EmulatedController(")):
         ast.parse(code)  # tests in real time run these
         return
-    subprocess.run(
-        [sys.executable, "-c", code],
-        check=True,
-        timeout=300,
-        cwd=workplace,
-        env={**os.environ, "PYTHONPATH": str(ROOT), "MINARI_DATASETS_PATH": str(workplace / "datasets")},
-    )
+    script = tmp_path / "page.py"
+    script.write_text(code)
+    datasets = str(workplace / "datasets")
+    scripts.run(script, folder=workplace, output=tmp_path / "output", MINARI_DATASETS_PATH=datasets)
 
 
 SHELL = [path for path in PAGES if any(blocks(path, "(?:sh|yaml)"))]

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+
+from tests import scripts
 
 FOLDER = Path(__file__).parent.parent / "examples"
 ARGUMENTS = {
@@ -22,19 +21,6 @@ ARGUMENTS = {
 ELSEWHERE = {"rllib_two_agents"}  # `make test-rllib` runs it, in an environment of its own
 
 
-def run(name, *arguments, folder):
-    result = subprocess.run(
-        [sys.executable, str(FOLDER / f"{name}.py"), *arguments],
-        cwd=folder,
-        env=os.environ | {"MINARI_DATASETS_PATH": str(folder / "datasets"), "PYTHONWARNINGS": "ignore"},
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert result.returncode == 0, result.stderr
-    return result.stdout
-
-
 def test_every_example_is_run():
     assert {each.stem for each in FOLDER.glob("*.py")} == {*ARGUMENTS, *ELSEWHERE}
 
@@ -43,12 +29,19 @@ def test_every_example_is_run():
 def test_it_runs(name, tmp_path):
     arguments, needs = ARGUMENTS[name]
     pytest.importorskip(needs)
-    text = run(name, *arguments, folder=tmp_path)
+    (tmp_path / "folder").mkdir()
+    text = scripts.run(
+        FOLDER / f"{name}.py",
+        *arguments,
+        folder=tmp_path / "folder",
+        output=tmp_path / "output",
+        MINARI_DATASETS_PATH=str(tmp_path / "datasets"),
+    )
     assert text.strip()
     if "sine_ppo" in arguments:
         from dual_ur10.policies.learned.checkpoint import read_manifest
 
-        assert read_manifest(tmp_path / "sine_ppo").signature.env_id == "DualUR10/SineTracking-v0"
+        assert read_manifest(tmp_path / "folder" / "sine_ppo").signature.env_id == "DualUR10/SineTracking-v0"
     if name == "collect_dataset":
         assert "2 episodes" in text
 

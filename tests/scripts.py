@@ -1,0 +1,51 @@
+"""Scripts in processes of their own, forked from one that has imported what they need from other packages."""
+
+import multiprocessing
+import os
+import runpy
+import sys
+import warnings
+from pathlib import Path
+
+_WITHIN_S = 300.0
+# Nothing of this package: a script has to import it, and what it registers is its own.
+_IMPORTED = ["gymnasium", "matplotlib.figure", "minari", "mujoco", "pettingzoo", "pytest", "stable_baselines3"]
+
+_forked = multiprocessing.get_context("forkserver")
+_forked.set_forkserver_preload(_IMPORTED)
+
+
+def _run(path: Path, arguments: tuple[str, ...], folder: Path, environment: dict[str, str], output: Path) -> None:
+    os.chdir(folder)
+    os.environ.update(environment)
+    sys.argv[:] = [str(path), *arguments]
+    sys.path.insert(0, str(path.parent))
+    with output.open("w") as file:
+        os.dup2(file.fileno(), 1)
+        os.dup2(file.fileno(), 2)
+    warnings.simplefilter("ignore")
+    runpy.run_path(str(path), run_name="__main__")
+
+
+def run(path: Path, *arguments: str, folder: Path, output: Path, **environment: str) -> str:
+    """Run a script in a folder as `python PATH ARGUMENTS` does, and return what it prints.
+
+    Args:
+        path: The script.
+        *arguments: Its arguments.
+        folder: The folder that it runs in.
+        output: File for what it prints.
+        **environment: Further variables of its environment.
+
+    Raises:
+        AssertionError: It failed. What it printed is in the message.
+    """
+    process = _forked.Process(target=_run, args=(path, arguments, folder, environment, output))
+    process.start()
+    process.join(_WITHIN_S)
+    if process.exitcode is None:
+        process.kill()
+        process.join()
+    text = output.read_text() if output.exists() else ""
+    assert process.exitcode == 0, text
+    return text

@@ -100,7 +100,7 @@ def happen(bench, name, *values):
 
 
 @pytest.mark.parametrize("family", ["cb3", "e-series"])
-@settings(max_examples=1200 if SOAK else 30)
+@settings(max_examples=1200 if SOAK else 12)
 @given(events=st.lists(EVENTS, max_size=40), powered=st.booleans(), resumes=st.booleans(), pauses=st.booleans())
 def test_any_events_keep_reports_consistent_and_arms_safe(family, events, powered, resumes, pauses):
     bench = Bench(family, powered=powered, safeguard_resumes=resumes, emergency_stop_pauses=pauses, unlock_wait_s=0.5)

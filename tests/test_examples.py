@@ -1,7 +1,8 @@
-"""The scripts of `examples/`, each in a process of its own."""
+"""The scripts and notebooks of `examples/`, each in a process of its own."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -49,3 +50,16 @@ def test_it_runs(name, tmp_path):
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("*.py")), ids=lambda path: path.stem)
 def test_it_says_how_to_run_it(path):
     assert f"python examples/{path.name}" in path.read_text().split('"""')[1]
+
+
+@pytest.mark.parametrize("path", sorted(FOLDER.glob("*.ipynb")), ids=lambda path: path.stem)
+def test_a_notebook_runs_from_its_first_cell_to_its_last(path, tmp_path):
+    for needs in ("matplotlib", "safetensors", "greenlet", "rtde_control"):
+        pytest.importorskip(needs)
+    cells = json.loads(path.read_text())["cells"]
+    assert not [each for each in cells if each.get("outputs")]
+    script = tmp_path / f"{path.stem}.py"
+    script.write_text("\n".join("".join(each["source"]) for each in cells if each["cell_type"] == "code"))
+    (tmp_path / "folder").mkdir()
+    text = scripts.run(script, folder=tmp_path / "folder", output=tmp_path / "output", MPLBACKEND="agg")
+    assert text.count("success after") == 2

@@ -371,8 +371,8 @@ def test_an_unpickled_environment_continues(keywords):
         (CellConfig(servoj=ServojProfile("e-series")), 12.5),
         (CellConfig(servoj=ServojProfile("cb3", 0.05, 500)), 25.0),
         (CellConfig(servoj=ServojProfile("cb3", 0.1, 300)), 25.0),
-        (CellConfig(speed_rad_s=0.1), 25.0),
-        (CellConfig(tcp_speed_m_s=0.05), 25.0),
+        (CellConfig(speed_rad_s=0.2), 25.0),
+        (CellConfig(tcp_speed_m_s=0.1), 25.0),
     ],
     ids=["e-series", "e-series slow", "cb3 0.05", "cb3 0.1", "slow joints", "slow tips"],
 )

@@ -16,6 +16,8 @@ import numpy as np
 
 from dual_ur10.envs.core.options import AS_ON_CONTROLLERS
 from dual_ur10.envs.rendering.live.memory import EPISODES, TAKES
+from dual_ur10.errors import TrainingError
+from dual_ur10.policies.learned.learned_policy import LearnedPolicy
 from dual_ur10.policies.operators.catalog import load_operator
 from dual_ur10.policies.operators.operator import Operator
 from dual_ur10.policies.operators.takeover import Takeover
@@ -26,7 +28,7 @@ from dual_ur10.policies.training.folder import initial_policy
 from dual_ur10.policies.training.imitation import Imitator
 from dual_ur10.policies.training.settings import Training, first_seed_of
 from dual_ur10.sim2real.recording.reader import read_run
-from dual_ur10.types import Single
+from dual_ur10.types import Mask, Single
 
 _RECORDS: Final = "episodes"  # folder of the runs
 
@@ -98,7 +100,7 @@ class CorrectedImitator(Imitator):
         """Train, and return the folder of the resulting checkpoint.
 
         Raises:
-            TrainingError: Something cannot be saved.
+            TrainingError: Something cannot be saved, or nothing was kept.
             DatasetError: The dataset cannot be read or is of another environment.
             DeviceError: One of its kinds: the device is gone, silent, or not understood.
             RecordingError: An episode cannot be recorded or read.
@@ -109,12 +111,21 @@ class CorrectedImitator(Imitator):
             self._add(read_dataset(self._asked.dataset, self._view), begun)
         corrected = self._begun > 0 and bool(self._samples)
         first = self._asked.init and not corrected
-        policy = initial_policy(self._asked, self._view) if first else self._fit(self._begun, begun)
+        policy = initial_policy(self._asked, self._view) if first else self._fitted(begun)
         while not self._has_all:
             self._lead(policy)
-            policy = self._fit(self._begun, begun)
-            self._save(begun)
+            policy = self._fitted(begun)
+        if self._folder.best is None:
+            raise TrainingError(
+                f"nothing was kept in {self._progress.steps} steps: there is nothing to learn from. Continue with "
+                "--resume and more --steps"
+            )
         return self._folder.finish()
+
+    def _fitted(self, begun: float) -> LearnedPolicy:
+        policy = self._fit(self._begun, begun)
+        self._save(begun)
+        return policy
 
     def _lead(self, policy: Policy) -> None:
         """Let the person correct a policy until some episodes are kept."""
@@ -146,9 +157,9 @@ class CorrectedImitator(Imitator):
         self._progress.steps += sum(len(each.reward) for each in run.episodes)
         for episode in kept_of(run).episodes:
             self._longest = max(self._longest, len(episode.reward))
-            by_person = np.zeros(len(episode.reward), dtype=bool)
+            by_person: Mask = np.zeros(len(episode.reward), dtype=bool)
             if episode.commander is not None:
-                by_person = episode.commander.any(axis=1)
+                by_person = episode.commander[:, 0] | episode.commander[:, 1]
             rows = by_person if self._asked.dataset else np.ones_like(by_person)
             if episode.observation is not None and rows.any():
                 seen = episode.observation[:-1].reshape(len(rows), -1)

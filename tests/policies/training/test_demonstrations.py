@@ -6,7 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from dual_ur10.errors import DatasetError, DeviceAbsentError, DeviceUnpluggedError
+from dual_ur10.errors import DatasetError, DeviceAbsentError, DeviceUnpluggedError, TrainingError
 from dual_ur10.policies.learned.checkpoint import read_manifest
 from dual_ur10.policies.learned.signature import view_of
 from dual_ur10.policies.operators.device import Reading
@@ -173,9 +173,12 @@ def test_a_checkpoint_is_corrected_without_forgetting_what_the_person_left_to_it
     begin = train(small("bc", dataset=scripted), tmp_path / "begin")
     fits.clear()
     asked = to_correct(init=str(begin))
-    meet = met((0, "record"), TAKEN, (7, "success"))
-    train(asked, tmp_path / "out", meet=meet)
-    assert [len(each) for each in fits] == [12]
+    with pytest.raises(KeyboardInterrupt):
+        train(asked, tmp_path / "out", meet=met((0, "record"), TAKEN, (7, "interrupt")))
+    with pytest.raises(TrainingError, match=r"nothing was kept in 12 steps: .* --resume and more --steps"):
+        resume(tmp_path / "out", meet=met())
+    resume(tmp_path / "out", steps=13, meet=met((0, "record"), TAKEN, (6, "success")))
+    assert [len(each) for each in fits] == [11]
 
 
 def test_an_interruption_of_corrections_loses_nothing_that_was_kept(tmp_path, scripted, fits):

@@ -1,10 +1,20 @@
-"""Operators: from an input to motion, takeovers, and tasks that synthetic persons finish through devices alone.
+"""Operators: from an input to motion, takeovers, tasks that synthetic persons finish, and what is learned from them.
 
-python benchmarks/operators.py [--episodes 20] [--devices spacemouse,leader] [--takeovers 1000] [--json FILE]
+python benchmarks/operators.py [--parts input,takeovers,devices,controllers,demonstrations,corrections,page]
+    [--episodes 20] [--devices spacemouse,leader,page] [--takeovers 1000] [--evaluated 300] [--json FILE]
 
 Persons act by the reports of their devices: SpaceMice as raw reports in a pipe, leader arms as chains of servos on
-pseudo terminals, the handles of a page in its shared memory. Tasks run in simulation. Times are those of a virtual
-cell, by the clock of its controllers. The cost of the page is that of live_page.py, on an emulated cell in real time.
+pseudo terminals, the handles of a page in its shared memory.
+
+input: Time from an input to the first motion, on a virtual cell, by the clock of its controllers.
+takeovers: Takeovers and hand-backs at random instants, on virtual cells.
+devices: Tasks that persons finish in simulation.
+controllers: The same on emulated controllers in virtual time, a quarter of the episodes, on mild plants.
+demonstrations: Behaviour cloning of 30 episodes of Handover by a person at the page whose hands tremble, who pauses and
+    takes detours ("wide" plants).
+corrections: Human-gated DAgger: a clone of `CLONED` scripted episodes of Handover, and the same after a person has
+    corrected 10 episodes of it, at the page.
+page: Cost of the page: that of live_page.py, on an emulated cell in real time.
 """
 
 from __future__ import annotations
@@ -15,6 +25,7 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(name, "1")
 
 import argparse
+import dataclasses
 import json
 import sys
 import tempfile
@@ -26,16 +37,39 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
 
+import gymnasium as gym
 import live_page
 
+from dual_ur10.envs.core.options import AS_ON_CONTROLLERS
+from dual_ur10.policies import evaluate
 from dual_ur10.policies.operators import leader
-from tests.policies.operators.persons import PERSONS, successes
+from dual_ur10.policies.training.corrections import Person
+from dual_ur10.policies.training.dataset import collect
+from dual_ur10.policies.training.demonstrations import demonstrate, make_dataset
+from dual_ur10.policies.training.settings import defaults
+from dual_ur10.policies.training.train import train
+from tests.policies.operators.hands import operator_of
+from tests.policies.operators.persons import (
+    PERSONS,
+    Corrector,
+    ShakyPerson,
+    Watched,
+    successes,
+    successes_on_controllers,
+)
 from tests.virtual import test_takeover
 from tests.virtual.test_operator import Rig, input_to_motion_s
 
+PARTS = ("input", "takeovers", "devices", "controllers", "demonstrations", "corrections", "page")
 CELLS = 10
 TASKS = {"handover": "Handover", "carry": "SyncCarry"}
 INPUTS = 10
+LEARNED = "Handover"
+KEYWORDS = {"action_latency_ticks": 5, "randomization": "wide"}
+DEMONSTRATIONS, CLONED, CORRECTED = 30, 3, 10
+CLONE, CORRECTION = {"fit_steps": 1500, "batch_size": 512}, {"fit_steps": 600, "batch_size": 256}
+"""Settings of both trainings: samples are few."""
+CHECKS = 4
 
 
 def input_to_motion_ms(family: str) -> float:
@@ -65,34 +99,111 @@ def takeovers(count: int) -> dict[str, float]:
     }
 
 
-def finished(device: str, episodes: int) -> dict[str, list[int]]:
+def finished(device: str, episodes: int, of: Any = successes) -> dict[str, list[int]]:
     """Return the numbers of successes and of episodes of each task."""
     found = {}
     for name, task in TASKS.items():
         with tempfile.TemporaryDirectory() as folder:
-            found[name] = [int(successes(device, task, range(episodes), Path(folder))), episodes]
-        print(f"{device}, {name}: {found[name][0]} of {episodes}", flush=True)
+            found[name] = [int(of(device, task, range(episodes), Path(folder))), episodes]
+        print(f"{device}, {name}, {of.__name__}: {found[name][0]} of {episodes}", flush=True)
     return found
+
+
+def demonstrations(folder: Path, evaluated: int) -> dict[str, Any]:
+    """Return the success of a clone of demonstrations by an unsteady person at the page."""
+    keywords, dataset = {"action_mode": "tcp_delta", **KEYWORDS}, "ur10/handover/shaky-v0"
+    person = ShakyPerson(folder, LEARNED, **KEYWORDS)
+    env = gym.make(f"DualUR10/{LEARNED}-v0", record=str(folder / "runs"), **AS_ON_CONTROLLERS, **keywords)
+    ends: list[Any] = []
+    demonstrate(
+        Watched(env, person),
+        operator_of(person.device, LEARNED, **keywords),
+        episodes=DEMONSTRATIONS,
+        seed=100_000,
+        on_end=ends.append,
+        wait=lambda time_s: None,
+    )
+    env.close()
+    person.close()
+    steps = make_dataset(folder / "runs", dataset).total_steps
+    print(f"{DEMONSTRATIONS} demonstrations of {len(ends)}, {steps} steps", flush=True)
+    policy = _trained(folder / "clone", "bc", dataset, CLONE)
+    return {"demonstrated": [DEMONSTRATIONS, len(ends)], "cloned": _succeeds(policy, evaluated, "clone")}
+
+
+def corrections(folder: Path, evaluated: int) -> dict[str, Any]:
+    """Return the successes of a clone of few episodes before and after a person has corrected it."""
+    keywords, dataset = {"action_mode": "tcp_delta", **KEYWORDS}, "ur10/handover/few-v0"
+    collect(LEARNED, dataset, episodes=CLONED, envs=CLONED, seed=100_000, env_kwargs=keywords)
+    people: list[Corrector] = []
+
+    def meet(training: Any) -> Person:
+        people.append(Corrector(folder, LEARNED, **KEYWORDS))
+        operator = operator_of(people[0].device, LEARNED, **keywords)
+        return Person(operator, shown=lambda env: Watched(env, people[0]), wait=lambda time_s: None)
+
+    changes = CORRECTION | {"corrected": CORRECTED}
+    policy = _trained(folder / "out", "dagger", dataset, changes, meet, operator="page", steps=1)
+    people[0].close()
+    print(f"{people[0].corrections} corrections, {CORRECTED} episodes kept", flush=True)
+    clone = folder / "out" / "steps-000000000"  # that the person corrects
+    before, after = (_succeeds(each, evaluated, what) for each, what in ((clone, "before"), (policy, "after")))
+    return {"corrected": {"before": before, "after": after, "corrections": people[0].corrections}}
+
+
+def _trained(out: Path, algorithm: str, dataset: str, changes: dict[str, int], meet: Any = None, **given: Any) -> Path:
+    """Return the policy of a training from a dataset."""
+    keywords = {"action_mode": "tcp_delta", **KEYWORDS}
+    asked = defaults(LEARNED, algorithm, "shared", dataset=dataset, keywords=keywords, changes=changes, **given)
+    return train(dataclasses.replace(asked, checks=CHECKS), out, meet=meet)
+
+
+def _succeeds(policy: Path, episodes: int, what: str) -> list[int]:
+    """Return the numbers of successes and of episodes of a policy."""
+    keywords = {"action_mode": "tcp_delta", **KEYWORDS}
+    found = evaluate(
+        f"DualUR10/{LEARNED}-v0", str(policy), episodes=episodes, num_envs=100, seed=0, env_kwargs=keywords
+    )
+    successes = sum(each.success for each in found.episodes)
+    print(f"{what}: {successes} of {episodes}", flush=True)
+    return [successes, episodes]
 
 
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--parts", default=",".join(PARTS))
     parser.add_argument("--episodes", type=int, default=20)
     parser.add_argument("--devices", default=",".join(PERSONS))
     parser.add_argument("--takeovers", type=int, default=1000, help="a multiple of 10; 0: none")
+    parser.add_argument("--evaluated", type=int, default=300, help="episodes that evaluate a learned policy")
     parser.add_argument("--stretches", type=int, default=6, help="stretches of 10 s with a page; 0: no page")
     parser.add_argument("--json", type=Path, help="write the figures to this file")
     arguments = parser.parse_args()
+    parts = arguments.parts.split(",")
+    unknown = [each for each in parts if each not in PARTS]
+    if unknown:
+        parser.error(f"unknown part {unknown[0]!r}: use some of {', '.join(PARTS)}")
+    devices = [each for each in arguments.devices.split(",") if each]
     leader._WAIT_S = 0.2  # the emulated servos answer from a thread of this process
     figures: dict[str, Any] = {}
-    for key, family in (("input_to_motion_ms_p99", "e-series"), ("input_to_motion_cb3_ms_p99", "cb3")):
-        figures[key] = round(input_to_motion_ms(family), 1)
-        print(f"{family}: input to motion, 99th percentile {figures[key]} ms", flush=True)
-    if arguments.takeovers:
+    if "input" in parts:
+        for key, family in (("input_to_motion_ms_p99", "e-series"), ("input_to_motion_cb3_ms_p99", "cb3")):
+            figures[key] = round(input_to_motion_ms(family), 1)
+            print(f"{family}: input to motion, 99th percentile {figures[key]} ms", flush=True)
+    if "takeovers" in parts and arguments.takeovers:
         figures |= takeovers(arguments.takeovers)
-    figures["devices"] = {each: finished(each, arguments.episodes) for each in arguments.devices.split(",")}
-    if arguments.stretches:
+    if "devices" in parts:
+        figures["devices"] = {each: finished(each, arguments.episodes) for each in devices}
+    if "controllers" in parts:
+        episodes = max(1, arguments.episodes // 4)
+        figures["controllers"] = {each: finished(each, episodes, successes_on_controllers) for each in devices}
+    for name, measure in (("demonstrations", demonstrations), ("corrections", corrections)):
+        if name in parts:
+            with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
+                patch.setenv("MINARI_DATASETS_PATH", str(Path(folder) / "datasets"))
+                figures |= measure(Path(folder), arguments.evaluated)
+    if "page" in parts and arguments.stretches:
         figures |= live_page.figures_of(10.0, arguments.stretches)
         print(f"page_late_extra {figures['page_late_extra']}", flush=True)
     if arguments.json:

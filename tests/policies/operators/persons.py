@@ -7,9 +7,11 @@ import numpy as np
 
 from dual_ur10 import policies
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply
+from dual_ur10.policies.evaluation.rollout import act
 from dual_ur10.policies.operators.device import FULL_TWIST
 from dual_ur10.policies.operators.leader import Leader
 from dual_ur10.policies.operators.spacemouse import SpaceMouse
+from dual_ur10.testing import VirtualCell
 from tests.policies.operators.hands import Hand, commanded, operator_of, twist
 from tests.policies.operators.rigs import RawLeader, RawMouse, RawPage
 
@@ -24,7 +26,9 @@ class MousePerson:
     def __init__(self, folder, task, **keywords):
         self._plan = policies.load("scripted", f"DualUR10/{task}-v0", action_mode="tcp_delta", **keywords)
         self._mice = [RawMouse(folder, "left"), RawMouse(folder, "right", new=True)]
-        self.device = SpaceMouse(left=self._mice[0].path, right=self._mice[1].path)
+        self._now_s = 0.0
+        paths = [mouse.path for mouse in self._mice]
+        self.device = SpaceMouse(left=paths[0], right=paths[1], clock=lambda: self._now_s)
         self.dead_zone = 0.08
 
     def begin(self, observation):
@@ -32,6 +36,7 @@ class MousePerson:
         self._open = np.ones(2, dtype=bool)
 
     def move(self, observation):
+        self._now_s += 0.04
         actions = self._plan(observation).reshape(2, -1)
         for arm, mouse in enumerate(self._mice):
             share = actions[arm, :6].astype(float)
@@ -117,22 +122,119 @@ class PagePerson:
         way = actions[:, :6] * FULL_TWIST * self._eye.timing.period_s / self._eye._share
         turned = quat_multiply(quat_from_rotvec(way[:, 3:]), tools.quat)
         opening = (actions[:, 6] + 1) / 2 if actions.shape[1] > 6 else np.full(2, np.nan)
-        self._page.drag(np.concatenate([tools.position_m + way[:, :3], turned], axis=1), [True, True], opening)
+        self.wanted, fast = actions, np.abs(actions[:, :3]).max(axis=1) > 0.5
+        self._drag(tools.position_m + way[:, :3], turned, fast, opening)
+
+    def _drag(self, positions_m, quat, fast, opening, holds=(True, True)):
+        self._page.drag(np.concatenate([positions_m, quat], axis=1), holds, opening)
+
+    def watch(self, action):
+        """See the motion of a step."""
+
+    def press(self, *buttons):
+        self._page.press(*buttons)
 
     def close(self):
         self._page.close()
 
 
+class ShakyPerson(PagePerson):
+    """Person at the page whose hands tremble, who pauses, and who takes detours on the way.
+
+    Tremor has 0.4 mm and 0.2° RMS, with a drift of 2 mm. About every 4 s the person lets go of both handles for 0.2 to
+    1.2 s, or drags a tool that moves fast aside, by up to 4 cm within 0.6 s.
+    """
+
+    def __init__(self, folder, task, seed=0, **keywords):
+        super().__init__(folder, task, **keywords)
+        self._rng = np.random.default_rng(seed)
+
+    def begin(self, observation):
+        super().begin(observation)
+        self._drift, self._pause, self._aside, self._left = np.zeros((2, 3)), 0, np.zeros((2, 3)), 0
+
+    def move(self, observation):
+        if self._rng.random() < 0.01:
+            self._pause = int(self._rng.integers(5, 31))
+        if self._rng.random() < 0.01:
+            self._aside, self._left = self._rng.uniform(-0.04, 0.04, (2, 3)) / 15, 15
+        self._pause, self._left = self._pause - 1, self._left - 1
+        self._drift += 0.2 * (0.002 * self._rng.standard_normal((2, 3)) - self._drift)
+        super().move(observation)
+
+    def _drag(self, positions_m, quat, fast, opening):
+        shake_m, turn = 0.0004 * self._rng.standard_normal((2, 3)), 0.0035 * self._rng.standard_normal((2, 3))
+        aside = self._aside * fast[:, None] if self._left > 0 else 0.0
+        holds = [self._pause <= 0] * 2
+        quat = quat_multiply(quat_from_rotvec(turn), quat)
+        super()._drag(positions_m + shake_m + 0.2 * self._drift + aside, quat, fast, opening, holds)
+
+
+class Corrector(PagePerson):
+    """Person at the page who watches a policy, takes both arms where it goes wrong, and hands them back.
+
+    Attributes:
+        corrections: Number of takeovers so far.
+    """
+
+    patience, led = 8, 40  # steps of wrong motion before the person takes over, and of the person
+
+    def begin(self, observation):
+        super().begin(observation)
+        self._wrong, self._leads, self.corrections = 0.0, 0, getattr(self, "corrections", 0)
+
+    def watch(self, action):
+        """See the motion of a step."""
+        wanted = self.wanted.reshape(2, -1)
+        off = np.abs(np.clip(np.asarray(action, dtype=float).reshape(2, -1), -1, 1) - wanted)
+        off[:, 6:] /= 2  # an opening is 0 to 1
+        self._wrong = self._wrong + 1 if off.max() > 0.3 else max(0.0, self._wrong - 2)
+        if self._leads:
+            self._leads -= 1
+            if not self._leads:
+                self._page.press("hand_back")
+                self._wrong = 0.0
+        elif self._wrong > self.patience:
+            self._page.press("take_both")
+            self._leads, self.corrections = self.led, self.corrections + 1
+
+
+class Watched(gym.Wrapper):
+    """Environment that a person sees, who begins every episode at once."""
+
+    def __init__(self, env, person):
+        super().__init__(env)
+        self.person = person
+        person.press("record")
+
+    def reset(self, **keywords):
+        observation, info = self.env.reset(**keywords)
+        self.person.begin(observation)
+        self.person.move(observation)
+        return observation, info
+
+    def step(self, action):
+        self.person.watch(action)
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        if terminated or truncated:
+            self.person.press("record")
+        else:
+            self.person.move(observation)
+        return observation, reward, terminated, truncated, info
+
+
 PERSONS = {"spacemouse": MousePerson, "leader": LeaderPerson, "page": PagePerson}
 
 
-def finished(person, env, operator, observation):
-    """Return True if a person finishes the episode that begins with an observation."""
-    operator.reset()
+def finished(person, env, seed, **keywords):
+    """Return True if a person finishes the episode of a seed."""
+    observation, _ = env.reset(seed=seed)
+    person.begin(observation)
+    operator = operator_of(person.device, env.spec.id, action_mode=person.mode, **keywords)
     over = False
     while not over:
         person.move(observation)
-        observation, _, terminated, truncated, info = env.step(operator(observation))
+        observation, _, terminated, truncated, info = env.step(act(operator, observation, env, np.float32))
         over = terminated or truncated
     return bool(info["is_success"])
 
@@ -142,13 +244,24 @@ def successes(device, task, seeds, folder, **keywords):
     person = PERSONS[device](folder, task, **keywords)
     env = gym.make(f"DualUR10/{task}-v0", action_mode=person.mode, **keywords)
     try:
-        count = 0
-        for seed in seeds:
-            observation, _ = env.reset(seed=seed)
-            person.begin(observation)
-            operator = operator_of(person.device, task, action_mode=person.mode, **keywords)
-            count += finished(person, env, operator, observation)
-        return count
+        return sum(finished(person, env, seed, **keywords) for seed in seeds)
     finally:
         person.close()
         env.close()
+
+
+def successes_on_controllers(device, task, seeds, folder, **options):
+    """Return the number of episodes that a person finishes, each on new emulated controllers in virtual time."""
+    count = 0
+    for seed in seeds:
+        own = folder / str(seed)
+        own.mkdir()
+        with VirtualCell(task=f"DualUR10/{task}-v0", seed=seed, **options) as cell:
+            person = PERSONS[device](own, task, cell=cell)
+            env = cell.make(f"DualUR10/{task}-v0", disable_env_checker=True, action_mode=person.mode)
+            try:
+                count += finished(person, env, seed, cell=cell)
+            finally:
+                person.close()
+                env.close()
+    return count

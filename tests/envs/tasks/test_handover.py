@@ -160,7 +160,7 @@ def test_terms_rise_within_a_stage_and_are_one_after_it():
 
 
 def test_each_arm_earns_its_own_terms():
-    expected = [2, 2, 2, 1, 1, 1.5, 0.4]
+    expected = [2, 2, 2, 1.2, 1, 1.5, 0.4]
     done = terms(facts(), 7)
     assert done[0].tolist() == expected
     assert done[1].tolist() == [2 - value for value in expected]
@@ -169,14 +169,11 @@ def test_each_arm_earns_its_own_terms():
     assert approach[0][0] == approach[1][0]
 
 
-def test_the_receiver_earns_its_waiting_as_far_as_the_giver_has_come():
+def test_the_receiver_earns_its_waiting_by_what_it_does_itself():
+    """A share in the giver's progress kept PPO from learning the handover."""
     waiting = gripper(near=0.9)
-    path = [gripper(near=0.4), gripper(near=0.8), gripper(True), HOLDS]
-    scenes = [facts(each, waiting) for each in path] + [facts(HOLDS, waiting, height=h) for h in (0.05, 0.1)]
-    earned = [terms(scene, 0)[1, 3] for scene in scenes]
-    assert earned == sorted(set(earned))
-    assert earned[0] < 0.1 * earned[-1]
-    assert earned[-1] == pytest.approx(scenes[-1].near[1])
+    scenes = [facts(each, waiting) for each in (gripper(near=0.4), gripper(True), HOLDS)]
+    assert {terms(scene, 0)[1, 3] for scene in scenes} == {0.8 * scenes[0].near[1]}
 
 
 @pytest.mark.parametrize("where", [{"height": 0.3, "meeting": 0.06}, {"height": 0.07, "meeting": 0.03}])

@@ -240,9 +240,8 @@ class Handover(StagedTask[HandoverSettings, HandoverMeasured, Facts]):
       nearness, and the closed fraction of its gripper once that is its goal.
     - *lift* (0.1): passed when the giver holds the block with its middle more than 8 cm above the table. Giver, 2: while
       it holds the block, twice the fraction of that height.
-    - *present* (0.1): passed when the lifted block is presented. Giver, 1: its nearness while it holds the lifted
-      block. Receiver, 1: its nearness, from the first step on, times the giver's progress: a third each of its squared
-      nearness until it has reached the block, of holding it, and of the height to which it has lifted it.
+    - *present* (0.1): passed when the lifted block is presented. Giver, 1.2: its nearness while it holds the lifted
+      block. Receiver, 0.8: its nearness, from the first step on.
     - *mutual_grasp* (0.15): passed when both hold the lifted block. Giver, 1: its nearness while the block is presented.
       Receiver, 1: while the block is presented, 0.6 of its nearness, and 0.4 of the closed fraction of its gripper once
       that is its goal.
@@ -428,12 +427,10 @@ class Handover(StagedTask[HandoverSettings, HandoverMeasured, Facts]):
         """Lift the block."""
         return now.carried, (now.holds[0] * ratio(now.raised), 0.0)
 
-    @stage(weight=0.1, early=(False, True))
+    @stage(weight=0.1, earned=(1.2, 0.8), early=(False, True))
     def present(self, now: Facts) -> tuple[Number, Progress]:
         """Bring the block to the transfer; the receiver waits at home, from the first step on."""
-        (near, waits), inside, gives = now.near, now.between[0], now.holds[0]
-        reached = inside + (1.0 - inside) * near * near
-        return now.presented, (now.carried * near, waits * (reached + gives * (1.0 + ratio(now.raised))) / 3.0)
+        return now.presented, (now.carried * now.near[0], now.near[1])
 
     @stage(weight=0.15)
     def mutual_grasp(self, now: Facts) -> tuple[Number, Progress]:

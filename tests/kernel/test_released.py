@@ -38,6 +38,11 @@ def made(family: str, ticks: int, limits: MotionLimits) -> tuple[ServojAdapter, 
     return adapter, SafetyGate(limits, profile.tick_s, ticks, Clearance(SCENE), n=N)
 
 
+@functools.cache
+def collision_model() -> mujoco.MjModel:
+    return build_collision_model(SCENE)
+
+
 def spoiled(targets: np.ndarray, last: np.ndarray, kind: str, size: float, rng: np.random.Generator) -> np.ndarray:
     """Return targets, (n, ticks, 2, 6), that continue the last ones, (n, 2, 6), in another way than planned."""
     ticks = np.arange(1, targets.shape[1] + 1)[:, None, None] / targets.shape[1]
@@ -79,7 +84,7 @@ def test_what_is_released_keeps_every_limit(kinds, family, ticks, limits, seed) 
     released = np.concatenate(sent, axis=1)
     assert_within(released, limits, profile.tick_s)
     assert_within(braked(released[:, -3:], limits, profile.tick_s), limits, profile.tick_s)
-    model = build_collision_model(SCENE)
+    model = collision_model()
     data = mujoco.MjData(model)
     for q in released[:, :: max(1, released.shape[1] // 20)].reshape(-1, 12):
         data.qpos[:] = q

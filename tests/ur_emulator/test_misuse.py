@@ -34,7 +34,7 @@ def test_no_argument_of_a_function_ends_the_controller(family):
     names = list(built_ins(bench))
     assert len(names) > 100
     for name, least, most in names:
-        for odd in ODD:
+        for odd in ODD if family == "e-series" else ODD[::3]:  # a CB3 has no functions that an e-Series lacks
             for count in {least, min(least + 1, most)}:
                 controller.run_script(program(f"x = 1\n{name}({', '.join([odd] * count)})"))
                 for _ in range(2):

@@ -1,6 +1,10 @@
 """Tests on a busy machine are tried again, but never what was sent to an arm that must not be."""
 
+import math
+
 import pytest
+
+from tests import busy_machine
 
 pytest_plugins = ["pytester"]
 
@@ -53,9 +57,10 @@ def fail_once():
 
 @pytest.fixture
 def outcomes(pytester, monkeypatch):
-    monkeypatch.setattr("tests.busy_machine._REST_S", 0.0)
+    monkeypatch.setattr(busy_machine, "_REST_S", 0.0)
 
-    def run(code, unsafe=False):
+    def run(code, unsafe=False, still_s=math.inf):  # however busy this machine is
+        monkeypatch.setattr(busy_machine, "_STILL_S", still_s)
         pytester.makeini("[pytest]")  # that of no folder above
         pytester.makeconftest(CONFTEST.replace("UNSAFE", str(unsafe)))
         pytester.makepyfile(f"import ctypes, pytest, time\nfrom conftest import Lab, ViolationError\n\n{code}")
@@ -80,7 +85,7 @@ def test_what_fails_once_while_the_machine_stands_still_is_tried_again(outcomes)
 def test(lab):
     fail_once()
 """
-    assert outcomes(STILL + code) == {"passed": 1, "rerun": 1}
+    assert outcomes(STILL + code, still_s=busy_machine._STILL_S) == {"passed": 1, "rerun": 1}
 
 
 def test_fixtures_that_fail_once_while_the_machine_stands_still_are_made_again(outcomes):
@@ -92,7 +97,7 @@ def made(lab):
 def test(made):
     pass
 """
-    assert outcomes(STILL + code) == {"passed": 1, "rerun": 1}
+    assert outcomes(STILL + code, still_s=busy_machine._STILL_S) == {"passed": 1, "rerun": 1}
 
 
 def test_what_an_error_says_is_believed(outcomes):

@@ -46,6 +46,9 @@ def video(
     speed: Annotated[
         float, typer.Option("--speed", metavar="RATIO", help="0.25 is slow motion, 3 three times as fast as reality.")
     ] = 1.0,
+    zoom: Annotated[
+        float, typer.Option("--zoom", metavar="FACTOR", help="Enlarge the middle of each picture, such as 1.3.")
+    ] = 1.0,
     seconds: Annotated[
         float | None, typer.Option("--seconds", min=0.1, help="Stop after this time of the episode.")
     ] = None,
@@ -57,19 +60,18 @@ def video(
 ) -> None:
     """Write a video of one episode of a policy, with its stage, success, references and traces drawn."""
     from dual_ur10.assets.visuals import cameras as scene_cameras
-    from dual_ur10.envs.rendering.images import check_size
     from dual_ur10.envs.rendering.video_file import check_video
-    from dual_ur10.policies.evaluation.film import check_cameras, film, take
+    from dual_ur10.policies.evaluation.film import check_view, film, take
 
     check_video(out)
-    check_size(width, height)
     keywords = keywords_of(settings, perturbed)
     randomize(keywords, randomization)
     made, actor = make(env, policy, keywords, seed)
     names = [each.strip() for each in cameras.split(",") if each.strip()]
     columns = TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn()
     try:
-        check_cameras(names, scene_cameras(made.unwrapped.core.config.scene))
+        known = scene_cameras(made.unwrapped.core.config.scene)
+        check_view(names, known, width=width, height=height, zoom=zoom, speed=speed)
         with progress_of(console, False, *columns) as progress:
             bar = progress.add_task("running", total=None)
             shown = take(made, actor, seed=seed, seconds=math.inf if seconds is None else seconds)
@@ -82,6 +84,7 @@ def video(
                 width=width,
                 height=height,
                 speed=speed,
+                zoom=zoom,
                 shadows=shadows,
                 marks=not plain,
                 on_ratio=lambda ratio: progress.update(bar, completed=ratio),

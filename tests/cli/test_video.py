@@ -54,9 +54,12 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[float]:
         def __init__(self, *_: Any) -> None:
             pass
 
-        def frame(self, time_s: float) -> np.ndarray:
+        def picture(self, time_s: float) -> np.ndarray:
             times.append(time_s)
             return np.full((8, 8, 3), len(times), np.uint8)
+
+        def captioned(self, picture: np.ndarray, *_: Any) -> np.ndarray:
+            return picture
 
         def close(self) -> None:
             pass
@@ -91,7 +94,10 @@ def test_it_writes_a_video_of_cameras_side_by_side(tmp_path: Path) -> None:
         (["-o", "{}/none/film.mp4"], "does not exist: make it first"),
     ],
 )
-def test_what_cannot_be_is_refused_and_leaves_no_file(tmp_path: Path, arguments: list[str], text: str) -> None:
+def test_what_cannot_be_is_refused_before_the_episode(
+    tmp_path: Path, arguments: list[str], text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "take", None)
     old = tmp_path / "film.mp4"
     old.write_bytes(b"old")
     result = run("Handover", "-o", old, *SMALL, *(each.format(tmp_path) for each in arguments))

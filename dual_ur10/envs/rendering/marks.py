@@ -68,11 +68,11 @@ class _Moment:
         for name, colors in _REFERENCES.items():
             for row, rgb in enumerate(colors if name in self._points else ()):
                 path = self._points[name][:, row]
-                _trace(scene, path, _REFERENCE_RGB, 0.004, 0.45)
-                _ball(scene, path[-1], rgb, 0.022, 0.45)
+                _trace(scene, path, _REFERENCE_RGB, 0.008, 0.6)
+                _ball(scene, path[-1], rgb, 0.03, 0.6)
         for name, colors in _TRACED.items():
             for row, rgb in enumerate(colors if name in self._points else ()):
-                _trace(scene, self._points[name][:, row], rgb, 0.005, 0.9)
+                _trace(scene, self._points[name][:, row], rgb, 0.006, 0.9)
 
 
 def _ball(scene: Any, at: Array, rgb: tuple[int, int, int], radius_m: float, opacity: float) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -186,8 +187,8 @@ def film(
     width: int = 640,
     height: int = 480,
     speed: float = 1.0,
+    zoom: float = 1.0,
     shadows: bool = False,
-    caption: Callable[[float, Info], str] | None = None,
     marks: bool = True,
     on_ratio: Callable[[float], None] = lambda _: None,
 ) -> Film:
@@ -201,8 +202,8 @@ def film(
         width: Width of each camera's picture in pixels.
         height: Its height.
         speed: Seconds of the episode in a second of the video.
+        zoom: Factor by which the middle of each picture is enlarged.
         shadows: Draw shadows.
-        caption: Text in that line, from the time and `info`; None: `describe`.
         marks: Draw references, traces and the names of both arms.
         on_ratio: Called with the ratio of frames drawn.
 
@@ -212,38 +213,74 @@ def film(
         RenderError: No OpenGL backend was found; there is no new file then.
         DualUR10Error: The file cannot be written.
     """
-    check_cameras(cameras, shown.cameras)
-    check_size(width, height)
-    if not 0.01 <= speed <= 100.0:
-        raise SettingsError(f"speed is {speed:g}: it must be 0.01 to 100 seconds of the episode in one of the video")
-    studio = _Studio(shown, title, cameras, (width, height), speed, shadows, caption, marks)
-    try:
-        with VideoFile(path) as file:
-            count = math.floor(shown.duration_s / speed * file.fps + 1e-6) + 1
-            for number in range(count):
-                frame = studio.frame(number * speed / file.fps)
-                file.append(frame)
-                on_ratio((number + 1) / count)
-            frame = studio.frame(shown.duration_s)
-            for _ in range(round(_HOLD_S * file.fps)):
-                file.append(frame)
-    finally:
-        studio.close()
+    check_view(cameras, shown.cameras, width=width, height=height, zoom=zoom, speed=speed)
+    studio = _Studio(shown, cameras, (width, height), zoom, shadows, marks)
+    pace = "" if math.isclose(speed, 1.0) else f", {speed:g}x real time"
+
+    def frame_at(time_s: float) -> Picture:
+        return studio.captioned(studio.picture(time_s), time_s, title, pace)
+
+    with contextlib.closing(studio), VideoFile(path) as file:
+        count = math.floor(shown.duration_s / speed * file.fps + 1e-6) + 1
+        for number in range(count):
+            file.append(frame_at(number * speed / file.fps))
+            on_ratio((number + 1) / count)
+        frame = frame_at(shown.duration_s)
+        for _ in range(round(_HOLD_S * file.fps)):
+            file.append(frame)
     return Film(Path(path), file.frames / file.fps, (frame.shape[1], frame.shape[0]))
 
 
-def check_cameras(cameras: Sequence[str], known: Sequence[str]) -> None:
-    """Check names of cameras.
+def stills(
+    shown: Take,
+    times_s: Sequence[float],
+    *,
+    cameras: Sequence[str] = ("front",),
+    width: int = 640,
+    height: int = 480,
+    zoom: float = 1.0,
+    shadows: bool = False,
+    marks: bool = True,
+) -> list[Picture]:
+    """Draw pictures of an episode at some times, without the line at the foot; see `film`."""
+    check_view(cameras, shown.cameras, width=width, height=height, zoom=zoom)
+    with contextlib.closing(_Studio(shown, cameras, (width, height), zoom, shadows, marks)) as studio:
+        return [np.asarray(studio.picture(time_s)) for time_s in times_s]
+
+
+def check_view(
+    cameras: Sequence[str],
+    known: Sequence[str],
+    *,
+    width: int = 640,
+    height: int = 480,
+    zoom: float = 1.0,
+    speed: float = 1.0,
+) -> None:
+    """Check the arguments of `film` before the episode is run.
+
+    Args:
+        cameras: Names of cameras.
+        known: Names of the cameras of the scene.
+        width: Width of each camera's picture in pixels.
+        height: Its height.
+        zoom: Factor by which the middle of each picture is enlarged.
+        speed: Seconds of the episode in a second of the video.
 
     Raises:
-        UnknownNameError: There is no such camera.
-        SettingsError: There are none, or more than nine.
+        UnknownNameError: The scene has no such camera.
+        SettingsError: Another value is not possible.
     """
     for camera in cameras:
         if camera not in known:
             raise UnknownNameError("camera", camera, list(known))
     if not 1 <= len(cameras) <= 9:
         raise SettingsError(f"{len(cameras)} cameras: name 1 to 9")
+    check_size(width, height)
+    if not 1.0 <= zoom <= 10.0:
+        raise SettingsError(f"zoom is {zoom:g}: it must be 1 to 10")
+    if not 0.01 <= speed <= 100.0:
+        raise SettingsError(f"speed is {speed:g}: it must be 0.01 to 100 seconds of the episode in one of the video")
 
 
 class _Studio:
@@ -252,24 +289,23 @@ class _Studio:
     def __init__(
         self,
         shown: Take,
-        title: str,
         cameras: Sequence[str],
         size: tuple[int, int],
-        speed: float,
+        zoom: float,
         shadows: bool,
-        caption: Callable[[float, Info], str] | None,
         marks: bool,
     ) -> None:
-        self._take, self._title, self._cameras, self._size = shown, title, cameras, size
-        self._pace = "" if math.isclose(speed, 1.0) else f", {speed:g}x real time"
-        self._caption = caption
+        self._take, self._cameras, self._size = shown, cameras, size
         self._marks = Marks(shown.infos, shown.period_s) if marks else None
         self._canvas = Canvas(shown.model, *size, shadows=shadows)
+        self._fovy = shown.model.cam_fovy.copy()
+        shown.model.cam_fovy[:] = 2.0 * np.degrees(np.arctan(np.tan(np.radians(self._fovy) / 2.0) / zoom))
         count = len(cameras)
         self._columns = 2 if count == 4 else min(count, 3)
+        self._text = max(9, round(size[1] / 26))  # height in pixels
 
-    def frame(self, time_s: float) -> Picture:
-        """Return the frame of one time."""
+    def picture(self, time_s: float) -> Any:
+        """Return an image of one time, with its marks."""
         from PIL import Image, ImageDraw
 
         data, (width, height) = self._take.pose(time_s), self._size
@@ -281,16 +317,14 @@ class _Studio:
             tile = whole[row * height : (row + 1) * height, column * width : (column + 1) * width]
             tile[...] = self._canvas.image(data, camera, mark=mark)
         picture = Image.fromarray(whole)
-        draw = ImageDraw.Draw(picture)
-        size = max(9, round(height / 30))
+        draw, size = ImageDraw.Draw(picture), self._text
         for (row, column), camera in zip(corners, self._cameras, strict=True):
             at = column * width, row * height
             if mark is not None and "/" not in camera:
                 self._name_arms(draw, data, camera, at, size)
             if len(self._cameras) > 1:
                 draw.text((at[0] + size, at[1] + size), camera, fill=_PAPER, font=_font(size), anchor="lm")
-        self._write(draw, whole.shape[1], whole.shape[0], size, time_s)
-        return np.asarray(picture)
+        return picture
 
     def _name_arms(self, draw: Any, data: Any, camera: str, at: tuple[int, int], size: int) -> None:
         """Write L and R on both pedestals, where the camera sees them."""
@@ -308,15 +342,17 @@ class _Studio:
             draw.ellipse((px - radius, py - radius, px + radius, py + radius), fill=rgb, outline=_PAPER)
             draw.text((px, py), name[0].upper(), fill=_PAPER, font=_font(size), anchor="mm")
 
-    def _write(self, draw: Any, width: int, height: int, size: int, time_s: float) -> None:
-        """Write the line at the foot: title, stage, time; above it a bar of the stages passed."""
+    def captioned(self, picture: Any, time_s: float, title: str, pace: str) -> Picture:
+        """Return an image with a line at its foot: title, stage and time; above it a bar of the stages passed."""
+        from PIL import ImageDraw
+
         shown, instant = self._take, self._take.instant(time_s)
         info, last = shown.infos[instant], instant == len(shown.infos) - 1
-        text = describe(shown, info) if self._caption is None else self._caption(time_s, info)
-        rgb = _PAPER
+        draw, size, (width, height) = ImageDraw.Draw(picture), self._text, picture.size
+        text, rgb = describe(shown, info), _PAPER
         if last and shown.over:
             text, rgb = ("success", _GOOD) if shown.success else (shown.ended_by or "no success", _BAD)
-        clock, tall, gap = f"{time_s:.1f} s{self._pace}", 2 * size, size // 2 + 4
+        clock, tall, gap = f"{time_s:.1f} s{pace}", 2 * size, size // 2 + 4
         draw.rectangle((0, height - tall, width, height), fill=_INK)
         count = len(shown.stages)
         for number in range(count if "stage" in info else 0):
@@ -324,17 +360,19 @@ class _Studio:
             left, right = width * number / count, width * (number + 1) / count - 2
             top = height - tall - max(3, size // 4)
             draw.rectangle((left, top, right, height - tall - 1), fill=_GOOD if passed else _DIM)
-        font, parts = _font(size), [each for each in (self._title, text, clock) if each]
+        font, parts = _font(size), [each for each in (title, text, clock) if each]
         while size > 7 and sum(font.getlength(each) for each in parts) + gap * (len(parts) + 1) > width:
             size -= 1
             font = _font(size)
         middle = height - tall / 2
-        draw.text((gap, middle), self._title, fill=_PAPER, font=font, anchor="lm")
+        draw.text((gap, middle), title, fill=_PAPER, font=font, anchor="lm")
         draw.text((width - gap, middle), clock, fill=_PAPER, font=font, anchor="rm")
-        begin, end = gap + font.getlength(self._title), width - gap - font.getlength(clock)
+        begin, end = gap + font.getlength(title), width - gap - font.getlength(clock)
         draw.text(((begin + end) / 2, middle), text, fill=rgb, font=font, anchor="mm")
+        return np.asarray(picture)
 
     def close(self) -> None:
+        self._take.model.cam_fovy[:] = self._fovy
         self._canvas.close()
 
 

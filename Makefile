@@ -94,7 +94,7 @@ $(KERNEL): hatch_build.py $(wildcard dual_ur10/kernel/*.?pp) dual_ur10/kernel/fl
 
 install: $(VENV)/.dev $(KERNEL)  ## set up .venv for the tests
 
-demo: $(VENV)/.demo $(KERNEL)  ## install, run the scripted policies, also on emulated arms; write out/report.html and videos
+demo: $(VENV)/.demo $(KERNEL)  ## install, run scripted and learned policies, also on emulated arms; write out/report.html and videos
 	@$(VENV)/bin/python -m dual_ur10 demo --out out
 
 test: $(VENV)/.dev $(KERNEL)  ## install, lint, type-check, run all tests but those in real time, and a smoke test of these

@@ -19,7 +19,7 @@ def demo(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for report.html and the videos.")] = Path("out"),
     quick: Annotated[bool, typer.Option("--quick", help="Fewer and shorter episodes, and shorter videos.")] = False,
 ) -> None:
-    """Run the scripted policies of the three tasks, and write a report and a video of each.
+    """Run scripted and learned policies of the three tasks, and write a report that begins with a video of each.
 
     The last runs use two emulated controllers, through ur_rtde, in real time: leave the machine alone meanwhile.
     """

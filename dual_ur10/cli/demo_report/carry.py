@@ -9,15 +9,14 @@ from typing import Any
 import numpy as np
 
 from dual_ur10.assets.props import BAR_LENGTH_M, BAR_MASS_KG
-from dual_ur10.cli.demo_report.case import JOINT_SPEED, SUCCESS, Case, Result, Task, figure_column
-from dual_ur10.cli.demo_report.film import Script
+from dual_ur10.cli.demo_report.case import JOINT_SPEED, SUCCESS, Case, Key, Result, Task, figure_column
 from dual_ur10.envs.tasks.sync_carry.path import MOVES
 from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings
 from dual_ur10.errors import DualUR10Error
 from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.policies.evaluation.rollout import Info, Trace
+from dual_ur10.policies.evaluation.film import Take
+from dual_ur10.policies.evaluation.rollout import Trace
 from dual_ur10.sim2real.analysis.plot_style import ARM_COLORS, INK, SOFT, capital, figure
-from dual_ur10.types import Array
 
 CARRY_ID = "DualUR10/SyncCarry-v0"
 
@@ -105,9 +104,9 @@ def context(results: Sequence[Result]) -> dict[str, Any]:
         "first_mm": error_mm[0],
         "last_mm": error_mm[-1],
         "path": carry_path(shown),
-        "relative_pose": relative_pose(results),
-        "inner_forces": inner_forces(results),
-        "load_and_slip": load_and_slip(results),
+        "relative_pose": relative_pose(shown),
+        "inner_forces": inner_forces(shown),
+        "load_and_slip": load_and_slip(shown),
     }
 
 
@@ -129,37 +128,19 @@ def instants(duration_s: float) -> list[tuple[float, str]]:
     return [(-math.inf, "the bar on the table"), *sorted(ends), (duration_s, "laid down")]
 
 
-def script(env: Any) -> Script:
-    """Return the contents of the video."""
-    due = instants(env.unwrapped.task.settings.duration_s)
-    name = f"SyncCarry, {TASK.filmed.title}"
-
-    def caption(time_s: float, info: Info) -> str:
-        begin = f"{name}     t = {time_s:4.1f} s     "
-        if info["clock_s"] <= 0.0:
-            return begin + "grasping"
-        return (
-            f"{begin}flanges to each other {1e3 * info['relative_error_m']:.2f} mm, "
-            f"{math.degrees(info['relative_error_rad']):.2f}°   internal force {abs(info['squeeze_n']):.1f} N"
-        )
-
-    def keys(time_s: float, info: Info) -> tuple[str, str] | None:
-        if not due or info["clock_s"] < due[0][0] - 1e-9:
-            return None
-        title = due.pop(0)[1]
-        position = ", ".join(f"{value:.2f}" for value in info["object_m"]).replace("-", "−")
-        return title, f"t = {time_s:.1f} s, bar at {position}\u00a0m"
-
-    return Script(f"{name}.", caption, keys)
+def keys(shown: Take) -> list[Key]:
+    """Return the key frames: the bar on the table, and the end of its first motion of each kind."""
+    clocks = [float(info.get("clock_s", -math.inf)) for info in shown.infos]
+    found = []
+    for due_s, title in instants(CarrySettings().duration_s):
+        number = next((k for k, clock_s in enumerate(clocks) if clock_s >= due_s - 1e-9), None)
+        if number is None:
+            break  # the episode ended before
+        position = ", ".join(f"{value:.2f}" for value in shown.infos[number]["object_m"]).replace("-", "−")
+        found.append((number, title, f"t = {number * shown.period_s:.1f} s, bar at {position}\u00a0m"))
+    return found
 
 
-def error_mm(result: Result) -> Array:
-    """Return the error of position between the flanges, (k,); NaN before the path begins."""
-    error: Array = 1e3 * np.abs(result.trace["relative_error_m"])
-    return np.where(result.trace["clock_s"] > 0.0, error, np.nan)
-
-
-COLORS = {"rigid": "#009E73", "friction": "#0072B2", "mild": "#D55E00"}
 _AXES = (("x", "#D55E00"), ("y", "#009E73"), ("z", "#0072B2"))
 
 
@@ -185,86 +166,65 @@ def carry_path(result: Result) -> str:
     return address[0]
 
 
-def relative_pose(results: Sequence[Result]) -> str:
-    """Plot the error of the right flange's pose in the left one's frame, in all runs, on logarithmic scales."""
-    with figure(1, 2, 3.6) as (_, axes, address):
-        for axis, name, scale, unit, title in (
-            (axes[0, 0], "relative_error_m", 1e3, "mm", "Position of one flange in the other's frame"),
-            (axes[0, 1], "relative_error_rad", np.degrees(1.0), "°", "Orientation of one flange in the other's frame"),
-        ):
-            for result in results:
-                clock = result.trace["clock_s"]
-                shown = clock > 0.0
-                error = np.maximum(scale * result.trace[name][shown], 1e-6)
-                axis.semilogy(clock[shown], error, color=COLORS[result.case.name], label=result.case.title)
-            axis.set(xlabel="time on the path (s)", ylabel=f"error ({unit}, log scale)")
-            axis.set_title(title)
-            _headroom(axis, 30.0)
-            axis.legend(ncols=2, loc="upper left", columnspacing=1.0)
-            axis.margins(x=0.01)
-    return address[0]
+def relative_pose(result: Result) -> str:
+    """Plot the error of the right flange's pose in the left one's frame."""
+    return _over_path(
+        result,
+        (
+            ("relative_error_m", 1e3, "error (mm)", "Position of one flange in the other's frame"),
+            ("relative_error_rad", np.degrees(1.0), "error (°)", "Orientation of one flange in the other's frame"),
+        ),
+    )
 
 
-def inner_forces(results: Sequence[Result]) -> str:
+def inner_forces(result: Result) -> str:
     """Plot the internal forces along the bar and across it."""
-    with figure(1, 2, 3.4) as (_, axes, address):
-        for axis, name, title in (
-            (axes[0, 0], "squeeze_n", "Along the bar: positive if they press towards each other"),
-            (axes[0, 1], "lateral_n", "Across the bar"),
-        ):
-            for result in results:
-                clock = result.trace["clock_s"]
-                shown = clock > 0.0
-                axis.plot(
-                    clock[shown],
-                    result.trace[name][shown],
-                    color=COLORS[result.case.name],
-                    label=result.case.title,
-                    linewidth=1,
-                )
-            axis.axhline(0, color=SOFT, linewidth=0.8)
-            axis.set(xlabel="time on the path (s)", ylabel="force (N)")
+    return _over_path(
+        result,
+        (
+            ("squeeze_n", 1.0, "force (N)", "Along the bar: positive if they press towards each other"),
+            ("lateral_n", 1.0, "force (N)", "Across the bar"),
+        ),
+    )
+
+
+def load_and_slip(result: Result) -> str:
+    """Plot the load ratio of both arms, and the slip of the bar in both grippers."""
+    return _over_path(
+        result,
+        (
+            ("load_share", 100.0, "load (%)", "Load of each arm"),
+            ("slip_m", 1e3, "slip (mm)", "Slip in each gripper since the path began"),
+        ),
+    )
+
+
+def _over_path(result: Result, plots: Sequence[tuple[str, float, str, str]]) -> str:
+    """Plot values over the time on the path: name in `info`, scale, axis and title of each."""
+    clock = result.trace["clock_s"]
+    shown = clock > 0.0
+    with figure(1, len(plots), 3.2) as (_, axes, address):
+        for axis, (name, scale, label, title) in zip(axes[0], plots, strict=True):
+            values = scale * result.trace[name][shown]
+            both = values.ndim == 2
+            for arm in range(2) if both else ():
+                axis.plot(clock[shown], values[:, arm], color=ARM_COLORS[arm], label=ARMS[arm], linewidth=1)
+            if both:
+                axis.legend(ncols=2, loc="upper right")
+            else:
+                axis.plot(clock[shown], values, color=INK, linewidth=1)
+            axis.axhline(0.0, color=SOFT, linewidth=0.8)
+            axis.set(xlabel="time on the path (s)", ylabel=label)
             axis.set_title(title)
             _headroom(axis)
-            axis.legend(ncols=2, loc="upper left", columnspacing=1.0)
             axis.margins(x=0.01)
     return address[0]
 
 
-def load_and_slip(results: Sequence[Result]) -> str:
-    """Plot the load ratio of both arms in the last run, and the slip of the bar in the grippers."""
-    with figure(1, 2, 3.4) as (_, axes, address):
-        left, right = axes[0]
-        result = results[-1]
-        clock = result.trace["clock_s"]
-        shown = clock > 0.0
-        for arm, label in enumerate(ARMS):
-            ratio = 100 * result.trace["load_share"][shown, arm]
-            left.plot(clock[shown], ratio, color=ARM_COLORS[arm], label=label, linewidth=1)
-        left.axhline(50, color=SOFT, linewidth=0.8)
-        left.set(xlabel="time on the path (s)", ylabel="load ratio (%)", ylim=(0, 110))
-        left.set_title(f"{capital(result.case.title)}: load of each arm")
-        left.legend(ncols=2, loc="upper right")
-        for result in results:
-            if result.case.name != "rigid":
-                clock = result.trace["clock_s"]
-                shown = clock > 0.0
-                slip = 1e3 * result.trace["slip_m"][shown].max(axis=1)
-                right.plot(clock[shown], slip, color=COLORS[result.case.name], label=result.case.title)
-        right.set(xlabel="time on the path (s)", ylabel="slip in the worse gripper (mm)")
-        right.set_ylim(bottom=0)
-        right.set_title("Slip since the path began")
-        _headroom(right)
-        right.legend(loc="upper left")
-        for axis in (left, right):
-            axis.margins(x=0.01)
-    return address[0]
-
-
-def _headroom(axis: Any, factor: float = 1.3) -> None:
+def _headroom(axis: Any) -> None:
     """Make room for a legend above the curves."""
     low, high = axis.get_ylim()
-    axis.set_ylim(low, high * factor if axis.get_yscale() == "log" else low + (high - low) * factor)
+    axis.set_ylim(low, low + (high - low) * 1.3)
 
 
 def _mark_begin(axis: Any, result: Result) -> None:
@@ -281,10 +241,8 @@ TASK = Task(
     emulated_columns=(SUCCESS, _POSITION, _ANGLE, _FORCE, _SLIP, _BAR_RMS),
     figures=figures,
     context=context,
-    error_mm=error_mm,
-    error_title="error of the pose between the flanges",
     filmed=CASES[-1],
-    script=script,
+    keys=keys,
     video="sync_carry.mp4",
     step_s=0.004,
     steps=900,

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from dual_ur10 import policies
-from dual_ur10.cli.demo_report.film import Script
 from dual_ur10.errors import DualUR10Error
+from dual_ur10.policies.evaluation.film import Take
 from dual_ur10.policies.evaluation.rollout import Info, Record, Trace, rollout
 from dual_ur10.policies.policy import Policy
 from dual_ur10.sim2real.analysis.page import Column, Table
@@ -19,13 +19,16 @@ from dual_ur10.sim2real.config.perturbation import Perturbation
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.types import Array
 
+Key = tuple[int, str, str]
+"""Key frame: number of the instant, title and text."""
+
 OnStep = Callable[[int], None]
 """Called with the number of steps done, after each."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """A task with its scripted policy, and keywords of its environment.
+    """A task with a policy, and keywords of its environment.
 
     Attributes:
         name: Short name.
@@ -33,6 +36,7 @@ class Case:
         env_id: Id of the environment.
         keywords: Keywords of the environment.
         learn: False: the policy of SineTracking does not learn the arms' deviation.
+        policy: Name of the policy.
     """
 
     name: str
@@ -40,6 +44,7 @@ class Case:
     env_id: str
     keywords: Mapping[str, Any] = field(default_factory=dict)
     learn: bool = True
+    policy: str = "scripted"
 
     @property
     def nominal(self) -> bool:
@@ -104,14 +109,11 @@ class Task:
         emulated_columns: Columns of the table that sets simulation beside emulated controllers.
         figures: Figures of an episode. Raises a `DualUR10Error` where it has none.
         context: Plots and further values for the task's template, from the results.
-        error_mm: Error over time, (k,), for the plot that sets simulation beside emulated controllers.
-        error_title: Title of that plot.
         filmed: The case of the video: not one of the nominal model.
-        script: Contents of the video, from its environment.
+        keys: Key frames of an episode: number of the instant, title and text of each.
         video: File name of the video.
         step_s: Computing time of a step, for the estimate of the time left.
         steps: Approximate steps of an episode; 0: its length is chosen by the keyword `duration_s`.
-        view: Keywords of the filmed environment.
         replayed: True: emulated controllers replay the actions of the simulation; False: the policy acts there, too.
         many: True: a case has several episodes, which may be cut short; False: one, which must be complete.
     """
@@ -123,15 +125,12 @@ class Task:
     emulated_columns: Sequence[Column[Result]]
     figures: Callable[[Result], Mapping[str, Any]]
     context: Callable[[Sequence[Result]], Mapping[str, Any]]
-    error_mm: Callable[[Result], Array]
-    error_title: str
     filmed: Case
-    script: Callable[[Any], Script]
     video: str
     step_s: float
     steps: int = 0
     page_only: Sequence[str] = ()
-    view: Mapping[str, Any] = field(default_factory=dict)
+    keys: Callable[[Take], Sequence[Key]] = lambda _: ()
     replayed: bool = False
     many: bool = False
 
@@ -177,10 +176,10 @@ class Task:
         return found
 
 
-def make(case: Case, **keywords: Any) -> tuple[Any, Policy]:
-    """Return environment and scripted policy of a case."""
+def make(case: Case) -> tuple[Any, Policy]:
+    """Return environment and policy of a case."""
     policy: Any
-    env, policy = policies.make("scripted", case.env_id, **case.keywords, **keywords)
+    env, policy = policies.make(case.policy, case.env_id, **case.keywords)
     if not case.learn:
         policy.learn = False
     return env, policy

@@ -26,10 +26,12 @@ from dual_ur10.cli.demo_report import carry, handover, sine
 from dual_ur10.cli.demo_report.case import Case, Result, Task, episode
 from dual_ur10.errors import DualUR10Error, MissingExtraError
 from dual_ur10.kinematics.ur10 import ARMS
+from dual_ur10.policies.evaluation.film import Take
+from dual_ur10.policies.evaluation.rollout import Info
 from dual_ur10.policies.registry import provenance
 from dual_ur10.sim2real.analysis.compare import Comparison, compare
 from dual_ur10.sim2real.analysis.page import Column
-from dual_ur10.sim2real.analysis.plot_style import ARM_COLORS, INK, figure
+from dual_ur10.sim2real.analysis.plot_style import ARM_COLORS, figure
 from dual_ur10.sim2real.analysis.replay import RecordedPolicy, source_of
 from dual_ur10.sim2real.config.cell_file import load_cell_file
 from dual_ur10.sim2real.recording.reader import read_run
@@ -85,6 +87,7 @@ class EmulatedPair:
         simulated, emulated: The episodes.
         comparison: Comparison of their recordings: A is the simulated one.
         load: Mean number of programs that wanted to run on this machine within the minute up to the end.
+        shown: Poses of the emulated episode.
     """
 
     run: EmulatedRun
@@ -92,6 +95,7 @@ class EmulatedPair:
     emulated: Result
     comparison: Comparison
     load: float
+    shown: Take
 
     @property
     def sides(self) -> tuple[tuple[str, Result], tuple[str, Result]]:
@@ -162,10 +166,10 @@ def _both(run: EmulatedRun, path: Path, folder: Path, on_ratio: OnRatio) -> Emul
     latency = {"action_latency_ticks": 2 * config.latency_ticks}
     whole_s = PREPARING_S + run.duration_s
     in_simulation = run.case.given(cell=replace(config, kind="mujoco", file=None), **latency)
-    simulated = _episode(run.task, in_simulation, folder, None, lambda _: None)
+    simulated, _ = _episode(run.task, in_simulation, folder, None, lambda _: None)
     on_ratio(PREPARING_S / 2 / whole_s)
     on_controllers = run.case.given(cell=str(path), **latency)
-    emulated = _episode(
+    emulated, shown = _episode(
         run.task,
         on_controllers,
         folder,
@@ -175,11 +179,13 @@ def _both(run: EmulatedRun, path: Path, folder: Path, on_ratio: OnRatio) -> Emul
     load = os.getloadavg()[0]
     folders = [each.folder for each in (simulated, emulated) if each.folder is not None]
     found = compare(*map(read_run, folders))
-    return EmulatedPair(run, simulated, emulated, found, load)
+    return EmulatedPair(run, simulated, emulated, found, load, shown)
 
 
-def _episode(task: Task, case: Case, folder: Path, played: Path | None, on_time: Callable[[float], None]) -> Result:
-    """Run and record an episode, by the scripted policy or with the actions of a recording."""
+def _episode(
+    task: Task, case: Case, folder: Path, played: Path | None, on_time: Callable[[float], None]
+) -> tuple[Result, Take]:
+    """Run and record an episode, by the scripted policy or with the actions of a recording; return its poses, too."""
     before = set(folder.glob("*/"))
     origin = provenance("scripted", case.env_id) if played is None else source_of(played, 0)
     keywords = {"record": str(folder), "record_about": origin, **case.keywords}
@@ -190,14 +196,19 @@ def _episode(task: Task, case: Case, folder: Path, played: Path | None, on_time:
             policy = policies.load("scripted", case.env_id, **case.keywords)
         else:
             policy = RecordedPolicy(read_run(played))
-        period_s, steps = env.unwrapped.core.timing.period_s, iter(range(1, 1_000_000))
-        result = episode(case, env, policy, 0, lambda _: on_time(next(steps) * period_s))
+        shown = Take(env.unwrapped.core)
+
+        def keep(info: Info) -> None:
+            shown(info)
+            on_time(len(shown.infos) * shown.period_s)
+
+        result = episode(case, env, policy, 0, keep)
     finally:
         env.close()
     (made,) = set(folder.glob("*/")) - before
     with contextlib.suppress(DualUR10Error):  # an episode that ended too early has no figures
         result = replace(result, figures=task.figures(result))
-    return replace(result, folder=made)
+    return replace(result, folder=made), shown
 
 
 def _late_ratio(pair: EmulatedPair, limit: int) -> float:
@@ -273,31 +284,17 @@ def reasons(failures: Sequence[EmulatedFailure]) -> list[dict[str, str]]:
     ]
 
 
-SIMULATED_COLOR, EMULATED_COLOR = INK, "#009E73"
-
-_LEAST_MM = 1e-4
-
-
 def side_by_side(pair: EmulatedPair) -> str:
-    """Plot the task's error on both cells, and the distance between the flanges of both."""
-    task = pair.run.task
-    with figure(1, 2, 3.0) as (_, axes, address):
-        left, right = axes[0]
-        for (label, side), color in zip(pair.sides, (SIMULATED_COLOR, EMULATED_COLOR), strict=True):
-            error = np.maximum(task.error_mm(side), _LEAST_MM)
-            left.semilogy(side.record.time_s, error, color=color, label=label, linewidth=1)
-        left.set(xlabel="time (s)", ylabel="mm, log scale")
-        left.set_ylim(top=6 * left.get_ylim()[1])  # room for the legend
-        left.set_title(f"{task.title}: {task.error_title}")
-        left.legend(ncols=2, loc="upper right")
+    """Plot the distance between simulated and emulated flange, of each arm."""
+    with figure(1, 1, 2.6) as (_, axes, address):
+        axis = axes[0, 0]
         for each in pair.comparison.pairs:
             apart = 1e3 * np.linalg.norm(each.flange_m[0] - each.flange_m[1], axis=2)
             for arm, name in enumerate(ARMS):
-                right.plot(each.time_s, apart[:, arm], color=ARM_COLORS[arm], label=name, linewidth=1)
-        right.set(xlabel="time on the task's clock (s)", ylabel="mm")
-        right.set_ylim(bottom=0.0, top=1.25 * right.get_ylim()[1])
-        right.set_title("Distance between simulated and emulated flange")
-        right.legend(ncols=2, loc="upper right")
-        for axis in (left, right):
-            axis.margins(x=0.01)
+                axis.plot(each.time_s, apart[:, arm], color=ARM_COLORS[arm], label=name, linewidth=1)
+        axis.set(xlabel="time on the task's clock (s)", ylabel="mm")
+        axis.set_ylim(bottom=0.0, top=1.25 * axis.get_ylim()[1])
+        axis.set_title(f"{pair.run.task.title}: distance between simulated and emulated flange")
+        axis.legend(ncols=2, loc="upper right")
+        axis.margins(x=0.01)
     return address[0]

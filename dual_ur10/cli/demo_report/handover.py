@@ -9,13 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from dual_ur10.cli.demo_report.case import JOINT_SPEED, SUCCESS, Case, Result, Task, figure_column
-from dual_ur10.cli.demo_report.film import Script
+from dual_ur10.cli.demo_report.case import JOINT_SPEED, SUCCESS, Case, Key, Result, Task, figure_column
 from dual_ur10.envs.tasks.handover.task import Handover
 from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.policies.evaluation.rollout import Info
+from dual_ur10.policies.evaluation.film import Take
 from dual_ur10.sim2real.analysis.page import Column
-from dual_ur10.sim2real.analysis.plot_style import ARM_COLORS, INK, SOFT, figure
+from dual_ur10.sim2real.analysis.plot_style import ARM_COLORS, INK, SOFT, capital, figure
 from dual_ur10.types import Array
 
 HANDOVER_ID = "DualUR10/Handover-v0"
@@ -30,6 +29,13 @@ CASES = (
         f"pose known to {1e3 * NOISE['object_noise_m']:g} mm, {math.degrees(NOISE['object_noise_rad']):.2g}°",
         HANDOVER_ID,
         {"giver": "random", "randomization": NOISE},
+    ),
+    Case(
+        "learned",
+        "learned policy, wide randomization",
+        HANDOVER_ID,
+        {"randomization": "wide"},  # the left arm gives: what it was trained for
+        policy="learned",
     ),
 )
 
@@ -78,7 +84,7 @@ def context(results: Sequence[Result]) -> dict[str, Any]:
     return {
         "summary": summary(results),
         "cut_short": " ".join(cut),
-        "stages": stages_over_time(results),
+        "stages": stages_over_time([each for each in results if not each.case.nominal]),
         "one": one_handover(results[-1]),
     }
 
@@ -95,33 +101,20 @@ def summary(results: Sequence[Result]) -> str:
     return f"{text[:1].upper()}{text[1:]}."
 
 
-def script(env: Any) -> Script:
-    """Return the contents of the video, with a key frame for each stage passed."""
-    stages = [name.replace("_", " ") for name in Handover.stages]
-    shown = -1
-
-    def caption(time_s: float, info: Info) -> str:
-        stage, giver = int(info["stage"]), ARMS[int(info["giver"])]
-        doing = f"stage {stage + 1} of {len(stages)}: {stages[stage]}" if stage < len(stages) else "placed"
-        return f"Handover, the {giver} arm gives, {TASK.filmed.title}     t = {time_s:4.1f} s     {doing}"
-
-    def keys(time_s: float, info: Info) -> tuple[str, str] | None:
-        nonlocal shown
+def keys(shown: Take) -> list[Key]:
+    """Return a key frame for the begin and for each stage passed."""
+    found: list[Key] = []
+    last = -1
+    for number, info in enumerate(shown.infos):
         stage = int(info["stage"])
-        if stage == shown:
-            return None
-        shown = stage
-        title = "begin" if stage == 0 else f"{stage}. {stages[stage - 1]}"
-        away = 1e3 * info["object_error_m"]
-        return title, f"t = {time_s:.1f} s, {away:.{0 if away > 20 else 1}f} mm to the target"
-
-    return Script(f"Handover, {TASK.filmed.title}.", caption, keys)
-
-
-def error_mm(result: Result) -> Array:
-    """Return the distance of the block to its target, (k,)."""
-    error: Array = 1e3 * result.trace["object_error_m"]
-    return error
+        if stage == last:
+            continue
+        last = stage
+        title = "begin" if stage == 0 else f"{stage}. {Handover.stages[stage - 1].replace('_', ' ')}"
+        away = 1e3 * float(info["object_error_m"])
+        text = f"t = {number * shown.period_s:.1f} s, {away:.{0 if away > 20 else 1}f} mm to the target"
+        found.append((number, title, text))
+    return found
 
 
 STAGE_COLORS = ("#CFD8DC", "#56B4E9", "#0072B2", "#009E73", "#F0E442", "#E69F00", "#CC79A7")
@@ -164,7 +157,7 @@ def one_handover(result: Result) -> str:
         left.plot(time_s, 1e3 * result.trace["object_m"][:, 2], color=INK, label="height of the block")
         left.plot(time_s, 1e3 * result.trace["object_error_m"], color="#009E73", label="distance to the target")
         left.set(xlabel="time (s)", ylabel="mm")
-        left.set_title(f"Pose {result.case.name}, seed {result.seed} (dotted: a stage is passed)")
+        left.set_title(f"{capital(result.case.title)}, seed {result.seed} (dotted: a stage is passed)")
         most = 1e3 * result.trace["object_error_m"].max()
         left.set_ylim(0, 1.3 * most)
         for number, end in enumerate(result.figures["passed_s"], 1):
@@ -191,13 +184,10 @@ TASK = Task(
     emulated_columns=(SUCCESS, *_PLACED),
     figures=figures,
     context=context,
-    error_mm=error_mm,
-    error_title="distance of the block to its target",
     filmed=CASES[-1],
-    script=script,
+    keys=keys,
     video="handover.mp4",
     step_s=0.002,
     steps=300,
-    view={"camera": "front"},
     many=True,
 )

@@ -59,15 +59,26 @@ def write_report(path: Path, findings: Findings) -> None:
         name: {**task.context(findings.results[name]), "table": task.table(f"{name}-table", findings.results[name])}
         for name, task in tasks.items()
     }
-    noisy = [each for each in findings.results["handover"] if each.case.name == tasks["handover"].cases[-1].name]
+    handed = {
+        case.name: [each for each in findings.results["handover"] if each.case.name == case.name]
+        for case in tasks["handover"].cases
+        if not case.nominal
+    }
     text = render(
         "demo.html",
         __package__,
         version=__version__,
         findings=findings,
         carried=findings.results["carry"][-1],
-        noisy=noisy,
-        placed=sum(each.record.success for each in noisy),
+        handed_tiles=[
+            (
+                f"{sum(each.record.success for each in those)} of {len(those)}",
+                f"Handover: blocks placed, {those[0].case.title}",
+                "main",
+            )
+            for those in handed.values()
+            if those
+        ],
         films={name: film_values(film) for name, film in findings.films.items()},
         emulated=emulated_values(findings),
         **values,
@@ -79,10 +90,10 @@ def write_report(path: Path, findings: Findings) -> None:
 
 
 def film_values(film: Film) -> dict[str, Any]:
-    """Return source, caption and key frames of a film."""
-    real_time = math.isclose(film.speedup, 1.0)
-    speed = "In real time" if real_time else f"{film.speedup:g} times faster than in reality"
-    return {"source": video_source(film.path), "caption": f"{film.text} {speed}.", "frames": film.frames}
+    """Return source, poster, caption and key frames of a film."""
+    speed = "In real time" if math.isclose(film.speed, 1.0) else f"{film.speed:g} times faster than in reality"
+    source, caption = video_source(film.path), f"{film.text} {speed}."
+    return {"source": source, "poster": film.poster, "caption": caption, "frames": film.frames}
 
 
 def emulated_values(findings: Findings) -> dict[str, Any]:

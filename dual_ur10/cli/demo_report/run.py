@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from dual_ur10.cli.demo_report.case import Case, Result, Task, make
+from dual_ur10.cli.demo_report.case import Case, Key, Result, Task, make
 from dual_ur10.cli.demo_report.emulated import (
     CARRY,
     HANDOVER,
@@ -18,12 +19,15 @@ from dual_ur10.cli.demo_report.emulated import (
     measure_emulated,
     sine_run,
 )
-from dual_ur10.cli.demo_report.film import FPS, HEIGHT, WIDTH, Film, shoot
+from dual_ur10.cli.demo_report.film import Film, shoot
 from dual_ur10.cli.demo_report.report import TASKS, Findings, write_report
 from dual_ur10.errors import DualUR10Error, MissingExtraError, RenderError
+from dual_ur10.policies.evaluation.film import Take, take
 
 # In seconds on two cores without a GPU, for the estimate of the time left.
-_FRAME_S, _SHADED_FRAME_S, _DRAWING_S = 0.07, 0.13, 4.0
+_FRAME_S, _DRAWING_S = 0.05, 4.0
+
+_RATE_HZ, _FPS = 25, 25  # of policies and videos
 
 Progress = Callable[[str, float, float], None]
 """Called with a description of the work, how much is done, and how much there is in all."""
@@ -39,14 +43,14 @@ class Extent:
         duration_s: Length of an episode, where the task lets it be chosen.
         film_s: The same of an episode that is filmed.
         episodes: Episodes of each case of a task that has many.
-        every: Steps from one frame of a video to the next, by the task's short name; 1 elsewhere.
+        speed: Speed of a video over that of its episode, by the task's short name and "emulated"; 1 elsewhere.
         emulated: Runs on emulated controllers.
     """
 
     duration_s: float = 30.0
     film_s: float = 10.0
     episodes: int = 6
-    every: Mapping[str, int] = field(default_factory=lambda: {"carry": 4, "handover": 2})
+    speed: Mapping[str, float] = field(default_factory=lambda: {"carry": 4.0, "handover": 2.0, "emulated": 2.0})
     emulated: tuple[EmulatedRun, ...] = (sine_run(20.0), CARRY, HANDOVER)
 
 
@@ -54,7 +58,7 @@ QUICK = Extent(
     duration_s=10.0,
     film_s=1.2,
     episodes=2,
-    every={"carry": 30, "handover": 10},
+    speed={"carry": 30.0, "handover": 10.0, "emulated": 10.0},
     emulated=(sine_run(2.0), HANDOVER),
 )
 
@@ -108,18 +112,37 @@ def run_demo(out: Path, *, quick: bool = False, progress: Progress = lambda *_: 
 
     def filming(task: Task) -> _Job:
         case, steps = sized(task, task.filmed, extent.film_s)
-        every = extent.every.get(task.name, 1)
-        frame_s = _SHADED_FRAME_S if "shadows" in task.view else _FRAME_S
 
         def do(on_ratio: OnRatio) -> None:
-            if missing:
-                return
-            try:
-                films[task.name] = film(task, case, out / task.video, every, lambda done: on_ratio(done / steps))
-            except RenderError as error:
-                missing.append(str(error))
+            env, policy = make(case)
+            with contextlib.closing(env):
+                shown = take(env, policy, seed=0)
+            title = f"{task.title}, {case.title}"
+            draw(task.name, task.video, shown, title, f"{title}.", task.keys(shown), on_ratio)
 
-        return _Job(f"drawing {task.video}", steps * (task.step_s + frame_s / every), do)
+        frames = steps / extent.speed.get(task.name, 1.0) * _FPS / _RATE_HZ
+        return _Job(f"drawing {task.video}", steps * task.step_s + frames * _FRAME_S, do)
+
+    def filming_emulated() -> _Job:
+        def do(on_ratio: OnRatio) -> None:
+            if not pairs:
+                return
+            pair = pairs[-1]  # that of Handover, if it did not fail
+            title = f"{pair.run.task.title} on two emulated controllers"
+            text = f"{title}, scripted policy: as the controllers and the tracker reported the poses."
+            draw("emulated", "emulated.mp4", pair.shown, title, text, (), on_ratio)
+
+        steps = max((run.duration_s for run in extent.emulated), default=0.0) * _RATE_HZ
+        return _Job("drawing emulated.mp4", steps / extent.speed.get("emulated", 1.0) * _FRAME_S, do)
+
+    def draw(name: str, file: str, shown: Take, title: str, text: str, keys: Sequence[Key], on_ratio: OnRatio) -> None:
+        if missing:
+            return
+        speed = extent.speed.get(name, 1.0)
+        try:
+            films[name] = shoot(out / file, shown, title, text, speed=speed, keys=keys, on_ratio=on_ratio)
+        except RenderError as error:
+            missing.append(str(error))
 
     def emulating(run: EmulatedRun) -> _Job:
         def do(on_ratio: OnRatio) -> None:
@@ -138,6 +161,7 @@ def run_demo(out: Path, *, quick: bool = False, progress: Progress = lambda *_: 
     jobs += map(filming, TASKS)
     # In real time: nothing else may run beside them.
     jobs += map(emulating, extent.emulated)
+    jobs.append(filming_emulated())
     jobs.append(_Job("writing the report", _DRAWING_S, lambda _: write_report(out / "report.html", findings())))
     _do(jobs, progress)
     return findings()
@@ -145,13 +169,7 @@ def run_demo(out: Path, *, quick: bool = False, progress: Progress = lambda *_: 
 
 def sized(task: Task, case: Case, duration_s: float) -> tuple[Case, int]:
     """Return a case with episodes of this length, if the task lets it be chosen, and their approximate steps."""
-    return (case, task.steps) if task.steps else (case.given(duration_s=duration_s), round(duration_s * FPS))
-
-
-def film(task: Task, case: Case, path: Path, every: int, on_step: Callable[[int], None] = lambda _: None) -> Film:
-    """Write the video of a task; see `shoot`."""
-    env, policy = make(case, render_mode="rgb_array", width=WIDTH, height=HEIGHT, **task.view)
-    return shoot(path, env, policy, task.script(env), every=every, on_step=on_step)
+    return (case, task.steps) if task.steps else (case.given(duration_s=duration_s), round(duration_s * _RATE_HZ))
 
 
 def _do(jobs: list[_Job], progress: Progress) -> None:

@@ -22,7 +22,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # `make fuzz`: executions per target, or seconds (TIME_S=60); some targets only (TARGET=rtde_server); another seed.
 RUNS ?= $(if $(TIME_S),0,20000)
 
-.PHONY: help demo dist docs test test-virtual test-live test-page test-oldest test-rllib test-torchrl clients soak simulate mutants fuzz bench install lint format clean check-python check-python-of-tests
+.PHONY: help demo dist docs media test test-virtual test-live test-page test-oldest test-rllib test-torchrl clients soak simulate mutants fuzz bench install lint format clean check-python check-python-of-tests
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*  ## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
@@ -145,6 +145,9 @@ dist: $(VENV)/.dev  ## build wheel and sdist into out/dist, and check the sdist 
 docs: $(VENV)/.dev $(KERNEL)  ## build the documentation site into out/site, strictly
 	@found=$$(PYTHONPATH=. NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict --site-dir out/site 2>&1) || \
 	  { echo "$$found" | grep -v '^INFO'; exit 1; }
+
+media: $(VENV)/.dev $(KERNEL)  ## make the videos and pictures of the documentation anew: some minutes, software OpenGL
+	@MUJOCO_GL=$(or $(MUJOCO_GL),egl) PYTHONPATH=. $(VENV)/bin/python docs/media.py
 
 test-torchrl: $(VENV)/.dev $(KERNEL)  ## TorchRL's own wrappers and checks, which `make test` skips without TorchRL
 	@$(VENV)/bin/python -m pip install $(PIP_FLAGS) -c constraints.txt torchrl

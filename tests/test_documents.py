@@ -3,6 +3,8 @@
 import ast
 import contextlib
 import importlib.util
+import json
+import os
 import pkgutil
 import re
 import shlex
@@ -18,7 +20,7 @@ import yaml
 import ur_emulator.cli
 from dual_ur10 import tasks
 from dual_ur10.cli.main import app
-from dual_ur10.ids import ENV_IDS, TASKS
+from dual_ur10.ids import ENV_IDS, TASKS, env_id_of
 from dual_ur10.policies.training import settings
 from tests import documented_facts, scripts
 from tests.cli.command import run
@@ -182,6 +184,27 @@ def test_the_code_on_the_page_of_a_task_runs(name, monkeypatch, workplace):
         exec(code, {})
     for line in "\n".join(blocks(written, "sh")).splitlines():
         parse(shlex.split(line)[3:])
+
+
+def test_the_videos_of_tasks_are_those_of_their_commands(workplace, monkeypatch):
+    """Each task of this package has a picture, each video a poster, and none is large."""
+    monkeypatch.chdir(workplace)
+    folder = DOCS / "media"
+    entries = json.loads((folder / "media.json").read_text())
+    assert {each["env_id"] for each in entries} == {*ENV_IDS}
+    expected = {"media.json"}
+    for each in entries:
+        expected.add(f"{each['name']}.webp")
+        if "command" in each:
+            expected.add(f"{each['name']}.mp4")
+            program, *arguments = shlex.split(each["command"])
+            assert program == "dual-ur10"
+            parse(arguments)
+            assert env_id_of(arguments[1]) == each["env_id"]
+    sizes = {path.name: path.stat().st_size for path in folder.iterdir()}
+    assert sizes.keys() == expected
+    assert max(*sizes.values(), (DOCS / "images" / "tasks.webp").stat().st_size) < 3_000_000
+    assert sum(sizes.values()) < 25_000_000
 
 
 def test_intervals_of_success_are_those_of_their_counts():

@@ -4,7 +4,6 @@ import ast
 import contextlib
 import importlib.util
 import json
-import os
 import pkgutil
 import re
 import shlex

@@ -12,8 +12,8 @@ devices: Tasks that persons finish in simulation.
 controllers: The same on emulated controllers in virtual time, a quarter of the episodes, on mild plants.
 demonstrations: Behaviour cloning of 30 episodes of Handover by a person at the page whose hands tremble, who pauses and
     takes detours ("wide" plants).
-corrections: Human-gated DAgger: a clone of `CLONED` scripted episodes of Handover, and the same after a person has
-    corrected 10 episodes of it, at the page.
+corrections: Human-gated DAgger: a clone of `CLONED` scripted episodes of Handover, all of whose translations are then
+    wrong by `SPOILED`, and the same after a person has corrected 10 episodes of it, at the page.
 page: Cost of the page: that of live_page.py, on an emulated cell in real time.
 """
 
@@ -42,6 +42,7 @@ import live_page
 
 from dual_ur10.envs.core.options import AS_ON_CONTROLLERS
 from dual_ur10.policies import evaluate
+from dual_ur10.policies.learned import checkpoint
 from dual_ur10.policies.operators import leader
 from dual_ur10.policies.training.corrections import Person
 from dual_ur10.policies.training.dataset import collect
@@ -70,6 +71,8 @@ DEMONSTRATIONS, CLONED, CORRECTED = 30, 3, 10
 CLONE, CORRECTION = {"fit_steps": 1500, "batch_size": 512}, {"fit_steps": 600, "batch_size": 256}
 """Settings of both trainings: samples are few."""
 CHECKS = 4
+SPOILED = 0.4
+"""Addition to the translations of a spoiled policy, of its largest step: 4 mm in 40 ms."""
 
 
 def input_to_motion_ms(family: str) -> float:
@@ -127,34 +130,45 @@ def demonstrations(folder: Path, evaluated: int) -> dict[str, Any]:
     person.close()
     steps = make_dataset(folder / "runs", dataset).total_steps
     print(f"{DEMONSTRATIONS} demonstrations of {len(ends)}, {steps} steps", flush=True)
-    policy = _trained(folder / "clone", "bc", dataset, CLONE)
+    policy = _trained(folder / "clone", "bc", CLONE, dataset=dataset)
     return {"demonstrated": [DEMONSTRATIONS, len(ends)], "cloned": _succeeds(policy, evaluated, "clone")}
 
 
 def corrections(folder: Path, evaluated: int) -> dict[str, Any]:
-    """Return the successes of a clone of few episodes before and after a person has corrected it."""
+    """Return the successes of a policy that was spoiled, before and after a person has corrected it."""
     keywords, dataset = {"action_mode": "tcp_delta", **KEYWORDS}, "ur10/handover/few-v0"
     collect(LEARNED, dataset, episodes=CLONED, envs=CLONED, seed=100_000, env_kwargs=keywords)
+    clone = _trained(folder / "clone", "bc", CORRECTION, dataset=dataset)
+    return corrected(folder, clone, evaluated)
+
+
+def corrected(folder: Path, clone: Path, evaluated: int) -> dict[str, Any]:
+    """Spoil a policy, let a person correct it, and return the successes before and after."""
+    good = checkpoint.load(clone)
+    for layers in good.layers:
+        layers[-1][1][:3] += SPOILED  # steps of a tool along x, y and z
+    checkpoint.save(folder / "spoiled", good.layers, good.manifest)
     people: list[Corrector] = []
 
     def meet(training: Any) -> Person:
         people.append(Corrector(folder, LEARNED, **KEYWORDS))
-        operator = operator_of(people[0].device, LEARNED, **keywords)
+        operator = operator_of(people[0].device, LEARNED, action_mode="tcp_delta", **KEYWORDS)
         return Person(operator, shown=lambda env: Watched(env, people[0]), wait=lambda time_s: None)
 
     changes = CORRECTION | {"corrected": CORRECTED}
-    policy = _trained(folder / "out", "dagger", dataset, changes, meet, operator="page", steps=1)
+    given = {"init": str(folder / "spoiled"), "operator": "page", "steps": 1}
+    policy = _trained(folder / "corrected", "dagger", changes, meet, **given)
     people[0].close()
-    print(f"{people[0].corrections} corrections, {CORRECTED} episodes kept", flush=True)
-    clone = folder / "out" / "steps-000000000"  # that the person corrects
-    before, after = (_succeeds(each, evaluated, what) for each, what in ((clone, "before"), (policy, "after")))
-    return {"corrected": {"before": before, "after": after, "corrections": people[0].corrections}}
+    print(f"{people[0].corrections} corrections in {CORRECTED} episodes kept", flush=True)
+    found = {"after": _succeeds(policy, evaluated, "corrected")}
+    found["before"] = _succeeds(folder / "spoiled", evaluated, "spoiled")
+    return {"corrected": found | {"corrections": people[0].corrections}}
 
 
-def _trained(out: Path, algorithm: str, dataset: str, changes: dict[str, int], meet: Any = None, **given: Any) -> Path:
-    """Return the policy of a training from a dataset."""
+def _trained(out: Path, algorithm: str, changes: dict[str, int], meet: Any = None, **given: Any) -> Path:
+    """Return the policy of a training."""
     keywords = {"action_mode": "tcp_delta", **KEYWORDS}
-    asked = defaults(LEARNED, algorithm, "shared", dataset=dataset, keywords=keywords, changes=changes, **given)
+    asked = defaults(LEARNED, algorithm, "shared", keywords=keywords, changes=changes, **given)
     return train(dataclasses.replace(asked, checks=CHECKS), out, meet=meet)
 
 

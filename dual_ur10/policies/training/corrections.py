@@ -31,6 +31,7 @@ from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.types import Mask, Single
 
 _RECORDS: Final = "episodes"  # folder of the runs
+_WRONG_S: Final = 1.0  # time before a takeover in which the policy was wrong: as long as a person takes to see it
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,8 @@ class CorrectedImitator(Imitator):
     `demonstrate` says. All are recorded in the folder of the training, so that whatever was kept is there after an
     interruption and after a crash. After some kept ones a network is fitted to the dataset, if there is one, and to
     those steps of kept episodes in which the person commanded an arm. Without a dataset, the steps that the person left
-    to the policy count, too, with the actions that it took: a network that sees corrections alone forgets the rest.
+    to the policy count, too, with the actions that it took, but for the last second before a takeover: a network that
+    sees corrections alone forgets the rest.
 
     Args:
         person: The person.
@@ -91,6 +93,8 @@ class CorrectedImitator(Imitator):
         super().__init__(*args)
         self._person = person
         self._root = self._folder.path / _RECORDS
+        rate = self._view.signature.rate
+        self._wrong = round(_WRONG_S / (rate.tick_s * rate.period_ticks))
         self._begun = 0  # episodes so far, also discarded ones
         self._progress.steps = 0
         for folder in sorted(self._root.iterdir()) if self._root.is_dir() else []:
@@ -160,10 +164,17 @@ class CorrectedImitator(Imitator):
             by_person: Mask = np.zeros(len(episode.reward), dtype=bool)
             if episode.commander is not None:
                 by_person = episode.commander[:, 0] | episode.commander[:, 1]
-            rows = by_person if self._asked.dataset else np.ones_like(by_person)
+            rows = by_person if self._asked.dataset else by_person | ~_before(by_person, self._wrong)
             if episode.observation is not None and rows.any():
                 seen = episode.observation[:-1].reshape(len(rows), -1)
                 self._samples.append((_single(seen[rows]), _single(episode.action[rows])))
+
+
+def _before(by_person: Mask, count: int) -> Mask:
+    """Return a mask of the steps that are up to so many before one of the person."""
+    padded = np.concatenate([by_person, np.zeros(count, dtype=bool)])
+    found: Mask = np.lib.stride_tricks.sliding_window_view(padded, count + 1).any(axis=1)
+    return found
 
 
 def _single(values: Any) -> Single:

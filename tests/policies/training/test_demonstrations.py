@@ -177,8 +177,9 @@ def test_a_checkpoint_is_corrected_without_forgetting_what_the_person_left_to_it
         train(asked, tmp_path / "out", meet=met((0, "record"), TAKEN, (7, "interrupt")))
     with pytest.raises(TrainingError, match=r"nothing was kept in 12 steps: .* --resume and more --steps"):
         resume(tmp_path / "out", meet=met())
-    resume(tmp_path / "out", steps=13, meet=met((0, "record"), TAKEN, (6, "success")))
-    assert [len(each) for each in fits] == [11]
+    script = ((0, "record"), (30, "take_both"), (2, "hand_back"), (3, "success"))
+    resume(tmp_path / "out", steps=13, meet=met(*script))
+    assert [len(each) for each in fits] == [5 + 3 + 4]  # not the 25 steps before the takeover
 
 
 def test_an_interruption_of_corrections_loses_nothing_that_was_kept(tmp_path, scripted, fits):

@@ -173,7 +173,8 @@ class CorrectedImitator(Imitator):
 def _before(by_person: Mask, count: int) -> Mask:
     """Return a mask of the steps that are up to so many before one of the person."""
     padded = np.concatenate([by_person, np.zeros(count, dtype=bool)])
-    found: Mask = np.lib.stride_tricks.sliding_window_view(padded, count + 1).any(axis=1)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, count + 1)
+    found: Mask = windows.sum(axis=1) > 0
     return found
 
 

@@ -25,7 +25,6 @@ WIDER = """() => [
 """Texts of the tables and code that are wider than the page, and pictures that have no text or are missing."""
 
 NARROW = {
-    "reference/environments",
     "reference/benchmarks",
     "explanation/architecture",
     "explanation/real-arms",

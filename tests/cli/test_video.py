@@ -14,7 +14,7 @@ pytest.importorskip("imageio_ffmpeg")
 
 import dual_ur10  # noqa: F401 - registers the ids
 from dual_ur10.cli import main as cli
-from dual_ur10.envs.rendering.marks import Marks
+from dual_ur10.envs.rendering.marks import Marks, describe
 from dual_ur10.envs.rendering.video_file import VideoFile
 from dual_ur10.errors import DualUR10Error
 from dual_ur10.policies import load
@@ -137,9 +137,8 @@ def test_references_and_what_follows_them_are_marked(taken: Take) -> None:
     assert {tuple(np.round(255 * each.rgba[:3])) for each in traces} == {(0, 114, 178), (213, 94, 0), (255, 255, 255)}
 
 
-def test_the_line_names_stage_error_and_end(taken: Take) -> None:
-    assert module.describe(taken, {"flange_error_m": (1e-3, 2e-3)}) == "error L 1.00 mm, R 2.00 mm"
-    assert module.describe(taken, {"object_error_m": 4e-3}) == "object off by 4.0 mm"
-    staged = type("Staged", (), {"stages": ("reach", "mutual_grasp")})
-    texts = [module.describe(staged, {"stage": passed}) for passed in range(3)]
+def test_the_line_names_stage_error_and_end() -> None:
+    assert describe((), {"flange_error_m": (1e-3, 2e-3)}) == "error L 1.00 mm, R 2.00 mm"
+    assert describe((), {"object_error_m": 4e-3}) == "object off by 4.0 mm"
+    texts = [describe(("reach", "mutual_grasp"), {"stage": passed}) for passed in range(3)]
     assert texts == ["stage 1 of 2: reach", "stage 2 of 2: mutual grasp", "all passed"]

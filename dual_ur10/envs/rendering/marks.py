@@ -1,4 +1,4 @@
-"""Marks in a picture of a cell: references, traces, and the names of both arms."""
+"""Marks in a picture of a cell: references, traces, the names of both arms, and the stage in words."""
 
 from __future__ import annotations
 
@@ -106,3 +106,22 @@ def _next(scene: Any) -> Any:
         return None
     scene.ngeom += 1
     return scene.geoms[scene.ngeom - 1]
+
+
+def describe(stages: Sequence[str], info: Mapping[str, Any]) -> str:
+    """Return the stage of a task, or its error, in a few words; "" for a task that has neither.
+
+    Args:
+        stages: Names of the task's stages.
+        info: That of a reset or step.
+    """
+    count = len(stages)
+    if "stage" in info and count:
+        passed = int(info["stage"])
+        return f"stage {passed + 1} of {count}: {stages[passed].replace('_', ' ')}" if passed < count else "all passed"
+    if "flange_error_m" in info:
+        left, right = 1e3 * np.asarray(info["flange_error_m"])
+        return f"error L {left:.2f} mm, R {right:.2f} mm"
+    if "object_error_m" in info:
+        return f"object off by {1e3 * float(info['object_error_m']):.1f} mm"
+    return ""

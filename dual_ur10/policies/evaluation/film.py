@@ -18,7 +18,7 @@ from dual_ur10.envs.core.core import Core
 from dual_ur10.envs.core.ends import early_end
 from dual_ur10.envs.core.options import MOVE_TO_START
 from dual_ur10.envs.rendering.images import Canvas, check_size
-from dual_ur10.envs.rendering.marks import ARM_RGB, Marks
+from dual_ur10.envs.rendering.marks import ARM_RGB, Marks, describe
 from dual_ur10.envs.rendering.video_file import VideoFile
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.kinematics.ur10 import ARMS
@@ -158,24 +158,6 @@ class Film:
     path: Path
     duration_s: float
     size: tuple[int, int]
-
-
-def describe(take: Take, info: Info) -> str:
-    """Return the stage of the task, or its error, in a few words."""
-    count = len(take.stages)
-    if "stage" in info and count:
-        passed = int(info["stage"])
-        return (
-            f"stage {passed + 1} of {count}: {take.stages[passed].replace('_', ' ')}"
-            if passed < count
-            else "all passed"
-        )
-    if "flange_error_m" in info:
-        left, right = 1e3 * np.asarray(info["flange_error_m"])
-        return f"error L {left:.2f} mm, R {right:.2f} mm"
-    if "object_error_m" in info:
-        return f"object off by {1e3 * float(info['object_error_m']):.1f} mm"
-    return ""
 
 
 def film(
@@ -349,7 +331,7 @@ class _Studio:
         shown, instant = self._take, self._take.instant(time_s)
         info, last = shown.infos[instant], instant == len(shown.infos) - 1
         draw, size, (width, height) = ImageDraw.Draw(picture), self._text, picture.size
-        text, rgb = describe(shown, info), _PAPER
+        text, rgb = describe(shown.stages, info), _PAPER
         if last and shown.over:
             text, rgb = ("success", _GOOD) if shown.success else (shown.ended_by or "no success", _BAD)
         clock, tall, gap = f"{time_s:.1f} s{pace}", 2 * size, size // 2 + 4

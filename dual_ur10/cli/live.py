@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -25,6 +26,9 @@ from dual_ur10.cli.options import (
 )
 from dual_ur10.envs.rendering.live.guard import PORT
 from dual_ur10.errors import SettingsError
+from dual_ur10.ids import env_id_of
+from dual_ur10.policies.baselines import BASELINES
+from dual_ur10.policies.registry import check_name, keywords_for, names_for, wrong_types_named
 from dual_ur10.sim2real.processes.interrupts import INTERRUPTED
 
 if TYPE_CHECKING:
@@ -34,6 +38,11 @@ if TYPE_CHECKING:
 
 PAGE = "page"
 NOBODY = "none"
+
+Port = Annotated[int, typer.Option("--port", min=0, max=65535, help="Port of the loopback interface; 0: any free one.")]
+Cameras = Annotated[
+    str, typer.Option("--cameras", help="Cameras of the scene whose images are shown, with commas; or none.")
+]
 
 
 def live(
@@ -63,19 +72,14 @@ def live(
     ] = False,
     arm: OneArm = None,
     power: PowerOn = False,
-    port: Annotated[
-        int, typer.Option("--port", min=0, max=65535, help="Port of the loopback interface; 0: any free one.")
-    ] = PORT,
-    cameras: Annotated[
-        str, typer.Option("--cameras", help="Cameras of the scene whose images are shown, with commas; or none.")
-    ] = "front",
+    port: Port = PORT,
+    cameras: Cameras = "front",
     seconds: Annotated[float | None, typer.Option("--seconds", min=0.1, help="Stop after this time.")] = None,
     seed: Seed = 0,
     settings: Settings = None,
     perturbed: Perturbed = False,
 ) -> None:
     """Watch and lead both arms in a page on this machine: in 3D, with plots, handles, and a button that stops both."""
-    from dual_ur10.envs.core.setup import EnvSetup
     from dual_ur10.policies.operators.catalog import device_class
     from dual_ur10.policies.operators.page import open_page
 
@@ -89,16 +93,18 @@ def live(
     if watches and (policy is not None or power):
         raise SettingsError("--policy and --power-on command the arms of a cell: add --command, or leave them out")
     keywords = keywords_of(settings, perturbed, cell, arm)
-    setup = EnvSetup.resolve(env, keywords)
-    buttons = () if watches else _buttons(setup, takes=policy is not None and operator != NOBODY)
-    page = open_page(setup, buttons, port=port, cameras=cameras, handles=operator == PAGE and not watches)
+    setup = setup_for(env, policy, keywords)
+    buttons = () if watches else buttons_of(setup, takes=policy is not None and operator != NOBODY)
+    policies = () if policy is None or setup.config.controllers else policies_of(env, [policy])
+    handles = operator == PAGE and not watches
+    page = open_page(setup, buttons, port=port, cameras=cameras, handles=handles, policies=policies)
     try:
         if watches:
             _watch(setup, page, seconds)
         else:
             if power:
                 power_on(cell)
-            _lead(env, policy, operator, keywords, page, seed, seconds)
+            lead(env, policies or (policy,), operator, keywords, page, seed, seconds)
     except KeyboardInterrupt:
         if cell is None or watches:
             console.print("closed")
@@ -110,7 +116,7 @@ def live(
 
 
 def _tell(page: LivePage) -> None:
-    """Print the address of a page that is ready."""
+    """Print the address of a page, once it is ready."""
     console.print(f"the page is at {page.wait_until_ready()}", soft_wrap=True, highlight=False, markup=False)
     console.print("Whoever has this address may press its buttons. Ctrl-C ends it", style="dim")
 
@@ -135,51 +141,125 @@ def _watch(setup: EnvSetup, page: LivePage, seconds: float | None) -> None:
         WatchSession(arms, page, words).run(seconds)
 
 
-def _lead(
+def lead(
     env: str,
-    policy: str | None,
+    policies: Sequence[str | None],
     operator: str,
     keywords: dict[str, Any],
     page: LivePage,
     seed: int,
     seconds: float | None,
+    *,
+    browser: bool = False,
 ) -> None:
-    from dual_ur10.cli.live_session import LiveSession
+    """Step an environment and show it in a page, until the time is over, or Ctrl-C.
 
-    made, actor = make(env, policy or "zero", keywords, seed)
-    person = None
+    Args:
+        env: Id of the environment, or its short form.
+        policies: Names of the policies between which the page switches; the first one acts. None: no policy.
+        operator: Device of an operator; `NOBODY`: nobody takes an arm.
+        keywords: Keywords of the environment.
+        page: The page.
+        seed: Seed of the first episode.
+        seconds: Time after which it ends; None: never.
+        browser: Open the page in a browser, if there is one.
+
+    Raises:
+        DualUR10Error: A name or a value is not legal, or a device cannot be opened; see also `LiveSession.run`.
+    """
+    from dual_ur10.cli.live_session import LiveSession
+    from dual_ur10.policies.operators.catalog import operator_with
+
+    first, *_ = policies
+    device: Any = None
+    mapping: Any = None
+
+    def acting(name: str) -> tuple[Any, Any, Operator | None]:
+        made, actor = make(env, name, keywords, seed)
+        return made, actor, None if device is None else operator_with(device, made.unwrapped.core.setup, mapping)
+
+    made, actor = make(env, first or "zero", keywords, seed)
+    person = session = None
     try:
-        person = _operator(operator, made.unwrapped.core.setup, page)
-        session = LiveSession(made, actor if policy else None, person, page, seed)
-        session.shown.words["policy"] = policy or "none: the operator leads"
+        setup = made.unwrapped.core.setup
+        device, mapping = _device(operator, setup, page)
+        person = None if device is None else operator_with(device, setup, mapping)
+        names = [each for each in policies if each is not None]
+        session = LiveSession(made, actor if first else None, person, page, seed, names, acting)
         _tell(page)
+        if browser:
+            _open(page.url)
         session.run(seconds)
     finally:
-        close(made, person)
+        close(session.shown if session else made, session.operator if session else person)
 
 
-def _operator(text: str, setup: EnvSetup, page: LivePage) -> Operator | None:
-    from dual_ur10.policies.operators.catalog import make_device, operator_with
+def _device(text: str, setup: EnvSetup, page: LivePage) -> tuple[Any, Any]:
+    """Return the device of an operator and its mapping, or None for what there is none of."""
+    from dual_ur10.policies.operators.catalog import make_device
     from dual_ur10.policies.operators.page import PageDevice
 
     if text == NOBODY:
-        return None
-    device, mapping = (PageDevice(page), None) if text == PAGE else make_device(text, setup)
-    return operator_with(device, setup, mapping)
+        return None, None
+    return (PageDevice(page), None) if text == PAGE else make_device(text, setup)
 
 
-def _buttons(setup: EnvSetup, *, takes: bool) -> tuple[str, ...]:
+def _open(url: str) -> None:
+    """Open a page in a browser with a window, if there is one: one in the terminal would hide what is printed there."""
+    import webbrowser
+
+    from dual_ur10.envs.rendering.viewer import has_display
+
+    with contextlib.suppress(webbrowser.Error):
+        if has_display() and type(browser := webbrowser.get()) is not webbrowser.GenericBrowser:
+            browser.open(url)
+
+
+def setup_for(env: str, policy: str | None, keywords: dict[str, Any]) -> EnvSetup:
+    """Return the environment in which a policy acts.
+
+    Raises:
+        DualUR10Error: A name or a value is not legal, or a checkpoint cannot be read.
+    """
+    from dual_ur10.envs.core.setup import EnvSetup
+
+    env_id = env_id_of(env)
+    if policy is not None:
+        keywords = keywords_for(policy, env_id, keywords)
+    with wrong_types_named(env_id):
+        return EnvSetup.resolve(env_id, keywords)
+
+
+def policies_of(env: str, given: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of the policies between which a page switches: those given, then those of the environment.
+
+    Raises:
+        UnknownNameError: There is no such policy or environment.
+        SettingsError: There are too many.
+    """
+    from dual_ur10.envs.rendering.live.memory import POLICIES
+
+    for each in given:
+        check_name(each)
+    names = tuple(dict.fromkeys((*given, *names_for(env), *BASELINES)))
+    if len(names) > len(POLICIES):
+        raise SettingsError(f"a page switches between at most {len(POLICIES)} policies, not {len(names)}: name fewer")
+    return names
+
+
+def buttons_of(setup: EnvSetup, *, takes: bool = False, stops: bool = True) -> tuple[str, ...]:
     """Return the names of the buttons of a page that commands.
 
     Args:
         setup: The environment.
         takes: There are a policy and an operator who may take arms from it.
+        stops: With the one that stops both arms.
     """
-    from dual_ur10.envs.rendering.live.memory import TAKES
+    from dual_ur10.envs.rendering.live.memory import SPEEDS, TAKES
 
-    buttons: tuple[str, ...] = ("stop", "reset", "next_seed")
+    buttons: tuple[str, ...] = (*(("stop",) if stops else ()), "reset", "next_seed")
     if not setup.config.controllers:
-        buttons += ("pause", "step")
+        buttons += ("pause", "step", *SPEEDS)
     if setup.options.record is not None:
         buttons += ("record", "success", "discard")
     return (*buttons, *TAKES) if takes else buttons

@@ -1,18 +1,19 @@
-"""Loops of the command `live`: one that moves arms, and one that watches controllers."""
+"""Loops of `live` and `view`: one that moves arms, and one that watches controllers."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from dual_ur10.envs.core.options import MOVE_TO_START
 from dual_ur10.envs.rendering.live.live_page import LivePage
+from dual_ur10.envs.rendering.live.memory import POLICIES, SPEEDS
 from dual_ur10.envs.rendering.live.shown import OPEN, Shown
-from dual_ur10.errors import CellFaulted, RenderError
+from dual_ur10.errors import CellFaulted, DualUR10Error, RenderError, SettingsError
 from dual_ur10.policies.evaluation.rollout import act
 from dual_ur10.policies.operators.page import PageDevice
 from dual_ur10.policies.operators.takeover import Takeover
@@ -38,28 +39,48 @@ class LiveSession:
         policy: Policy; None: nobody but the operator leads.
         operator: Operator, who takes arms from the policy if there is one; None: nobody takes an arm.
         page: The page.
-        seed: Seed of the first episode.
+        seed: Seed of the first episode; the next ones count up.
+        policies: Names of the policies between which the page switches; the first one acts.
+        make: Function that returns the environment, the policy and the operator for one of these names.
 
     Attributes:
-        shown: The environment as the page shows it.
+        shown: The environment as the page shows it. A switch of the policy replaces it.
+        operator: As above.
     """
 
-    def __init__(self, env: Any, policy: Any | None, operator: Operator | None, page: LivePage, seed: int) -> None:
-        self.shown = Shown(env, page, "nobody" if policy is None else "policy")
-        self._page, self._operator = page, operator
+    def __init__(
+        self,
+        env: Any,
+        policy: Any | None,
+        operator: Operator | None,
+        page: LivePage,
+        seed: int,
+        policies: Sequence[str] = (),
+        make: Callable[[str], tuple[Any, Any, Operator | None]] | None = None,
+    ) -> None:
+        self._page, self._policies, self._make = page, policies, make
+        self._use(env, policy, operator)
+        if policy is None or policies:
+            self.shown.words["policy"] = "none: the operator leads" if policy is None else policies[0]
         self._device = PageDevice(page) if operator is None else operator.device
-        if operator is not None:
-            operator.stops = False  # the session stops, and goes on showing the arms
-        self._core = env.unwrapped.core
-        self._actor = policy if operator is None else operator if policy is None else Takeover(policy, operator)
         self._controllers = bool(self._core.config.controllers)
-        self._period_s = self._core.timing.period_s
         self._seed = seed
+        self._speed = 1.0
         self._observation: Any = None
         self._over = ""
         self._stopped = ""
         self._paused = False
         self._single = False
+
+    def _use(self, env: Any, policy: Any | None, operator: Operator | None) -> None:
+        """Go on with an environment, and with who acts in it."""
+        self.shown = Shown(env, self._page, "nobody" if policy is None else "policy")
+        self.operator = operator
+        if operator is not None:
+            operator.stops = False  # the session stops, and goes on showing the arms
+        self._core = env.unwrapped.core
+        self._actor = policy if operator is None else operator if policy is None else Takeover(policy, operator)
+        self._period_s = self._core.timing.period_s
 
     def run(self, seconds: float | None) -> None:
         """Run until the time is over, or Ctrl-C.
@@ -82,7 +103,7 @@ class LiveSession:
                 self._say()
             # Against the clock, not from step to step, so that delays do not add up.
             now_s = time.monotonic()
-            due_s = max(due_s + (self._period_s if moved else _IDLE_S), now_s - _DROPPED_S)
+            due_s = max(due_s + (self._period_s / self._speed if moved else _IDLE_S), now_s - _DROPPED_S)
             if self._controllers and moved:
                 due_s = now_s  # the controllers keep the time
             time.sleep(max(0.0, due_s - now_s))
@@ -96,7 +117,7 @@ class LiveSession:
             return not self._rests
         episode, actor = self.shown.episode, self._actor
         action = self._still() if actor is None else act(actor, self._observation, self.shown, np.float32)
-        self._act_on(self._device.read().buttons if self._operator is None else self._operator.buttons)
+        self._act_on(self._device.read().buttons if self.operator is None else self.operator.buttons)
         if self.shown.episode != episode:
             return True
         if self._rests:
@@ -105,11 +126,11 @@ class LiveSession:
         self._tell()
         self._observation, _, terminated, truncated, info = self.shown.step(self._still() if self._stopped else action)
         # Who practises in a simulation may go on when the time of the task is over.
-        led = self._operator is not None and self._operator.commander.any()
+        led = self.operator is not None and self.operator.commander.any()
         if terminated or (truncated and (self._controllers or not led)):
             self._over = str(info.get("end_reason", "over"))
             if not (led or self._controllers):
-                self.begin(None)
+                self.begin(self._seed + 1)
         return True
 
     @property
@@ -140,10 +161,15 @@ class LiveSession:
             self._paused = not self._paused
         if "step" in pressed:
             self._paused = self._single = True
+        for name in pressed & SPEEDS.keys():
+            self._speed = SPEEDS[name]
+        chosen = [policy for name, policy in zip(POLICIES, self._policies, strict=False) if name in pressed]
         if "stop" in pressed and not self._stopped:
             self._stop()
+        elif chosen:
+            self._switch(chosen[0])
         elif {"reset", "next_seed"} & pressed:
-            self.begin(self._seed + self.shown.episode + 1 if "next_seed" in pressed else None)
+            self.begin(self._seed + ("next_seed" in pressed))
 
     def _stop(self) -> None:
         """Stop both arms: latched on controllers, until the next reset in simulation."""
@@ -151,23 +177,49 @@ class LiveSession:
         self._stopped = f"LATCHED: {text}" if self._controllers else "STOPPED by the page: press Reset to go on"
         self._core.note("stop", "button of the live page")
 
-    def begin(self, seed: int | None) -> None:
-        """Begin an episode; None: the generator continues. A latched stop stays."""
+    def _switch(self, name: str) -> None:
+        """Let another policy act in an environment that fits it, from the beginning of the episode on.
+
+        One that cannot be used is named in the page, and nothing else changes.
+        """
+        if self._make is None:
+            return
+        before, made = self.shown, None
+        before.words["policy"] = f"{name} is loaded"
+        before.say()
+        try:
+            made, policy, operator = self._make(name)
+            if made.unwrapped.core.config.scene != self._core.config.scene:
+                raise SettingsError("it is for another scene than the page shows: start the program with it")
+        except DualUR10Error as error:
+            if made is not None:
+                made.close()
+            before.words["policy"] = f"REFUSED {name}: {error}"
+            return
+        self._use(made, policy, operator)
+        self.shown.episode, self.shown.words = before.episode, {**before.words, "policy": name}
+        before.close()
+        self.begin(self._seed)
+
+    def begin(self, seed: int) -> None:
+        """Begin the episode of a seed. A latched stop stays."""
         if self._stopped and self._controllers:
             return  # a latched stop is cleared by a person at the controllers
+        self._seed = seed
         again = self.shown.episode >= 0 and self._controllers
         self._over, self._stopped = "", ""
         if self._actor is not None:
             self._actor.reset()
-        if self._operator is not None:
-            self._core.commander = self._operator.commander
+        if self.operator is not None:
+            self._core.commander = self.operator.commander
         self._tell()
         self._observation, _ = self.shown.reset(seed=seed, options={MOVE_TO_START: True} if again else None)
 
     def _tell(self) -> None:
         """Let the page know what the loop waits for."""
         shown = self.shown
-        shown.state = f"over: {self._over}" if self._over else "paused" if self._paused else ""
+        paused, speed = "paused" if self._paused else "", "" if self._speed == 1.0 else f"{self._speed:g}× speed"
+        shown.state = f"over: {self._over}" if self._over else ", ".join(filter(None, (speed, paused)))
         if not self._controllers:
             shown.latch = self._stopped or OPEN
         elif self._stopped:

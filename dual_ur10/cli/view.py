@@ -2,57 +2,51 @@
 
 from __future__ import annotations
 
-import time
 from typing import Annotated
 
 import typer
 
-from dual_ur10.cli.options import (
-    EnvName,
-    OperatorName,
-    Perturbed,
-    PolicyName,
-    Seed,
-    Settings,
-    close,
-    console,
-    keywords_of,
-    make,
-)
+from dual_ur10.cli.live import NOBODY, Cameras, Port, buttons_of, lead, policies_of, setup_for
+from dual_ur10.cli.options import EnvName, Perturbed, Seed, Settings, console, keywords_of
+from dual_ur10.envs.rendering.live.guard import PORT
+from dual_ur10.errors import SettingsError
 
 
 def view(
     env: EnvName,
-    policy: PolicyName = "scripted",
-    operator: OperatorName = None,
+    policy: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--policy",
+            "-p",
+            help="scripted, learned, random or zero; the folder of a checkpoint; or module:Class. May be repeated: the "
+            "page switches between them and those of the environment. Default: scripted.",
+        ),
+    ] = None,
+    no_browser: Annotated[
+        bool, typer.Option("--no-browser", help="Print the address of the page, and open no browser.")
+    ] = False,
+    port: Port = PORT,
+    cameras: Cameras = "front",
     seconds: Annotated[float | None, typer.Option("--seconds", min=0.1, help="Stop after this time.")] = None,
     seed: Seed = 0,
     settings: Settings = None,
     perturbed: Perturbed = False,
 ) -> None:
-    """Watch a policy or an operator in real time, in a window or, without a display, in a browser on this machine."""
-    from dual_ur10.policies.evaluation.rollout import act
+    """Watch policies in a browser on this machine: pause, step, slow down, switch between them. Simulation only."""
+    from dual_ur10.policies.operators.page import open_page
 
     keywords = keywords_of(settings, perturbed)
-    made, actor = make(env, policy, {**keywords, "render_mode": "human"}, seed, operator)
-    period_s = made.unwrapped.core.timing.period_s
+    policies = policies_of(env, policy or ["scripted"])
+    setup = setup_for(env, policies[0], keywords)
+    if setup.config.controllers:
+        raise SettingsError("view is for simulation: `live --cell` shows two controllers")
+    page = open_page(
+        setup, buttons_of(setup, stops=False), port=port, cameras=cameras, handles=False, policies=policies
+    )
     try:
-        observation, _ = made.reset(seed=seed)
-        actor.reset()
-        viewer = made.unwrapped.viewer
-        if viewer.url:
-            console.print(f"the viewer is at [bold cyan]{viewer.url}[/] for browsers on this machine", soft_wrap=True)
-        console.print("Ctrl-C ends it", style="dim")
-        begun = due = time.monotonic()
-        while viewer.is_running() and (seconds is None or due - begun < seconds):
-            observation, _, terminated, truncated, _ = made.step(act(actor, observation, made, made.action_space.dtype))
-            if terminated or truncated:
-                observation, _ = made.reset()
-                actor.reset()
-            # Against the clock, not from step to step: delays do not add up. A delay beyond 0.5 s is dropped.
-            due = max(due + period_s, time.monotonic() - 0.5)
-            time.sleep(max(0.0, due - time.monotonic()))
+        lead(env, policies, NOBODY, keywords, page, seed, seconds, browser=not no_browser)
     except KeyboardInterrupt:
         console.print("closed")
     finally:
-        close(made, actor)
+        page.close()

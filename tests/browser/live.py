@@ -4,7 +4,7 @@ import threading
 
 import numpy as np
 
-from dual_ur10.cli.live import _buttons
+from dual_ur10.cli.live import buttons_of
 from dual_ur10.cli.live_session import LiveSession
 from dual_ur10.cli.options import make
 from dual_ur10.envs.core.setup import EnvSetup
@@ -22,7 +22,7 @@ class Live:
 
     def __init__(self, keywords, *, task="Handover", policy=None, threaded=True):
         setup = EnvSetup.resolve(task, keywords)
-        self.page = open_page(setup, _buttons(setup, takes=True), port=0, cameras="none")
+        self.page = open_page(setup, buttons_of(setup, takes=True), port=0, cameras="none")
         self.env, actor = make(task, policy or "zero", keywords, 0)
         self.core = self.env.unwrapped.core
         self.operator = operator_with(PageDevice(self.page), self.core.setup)

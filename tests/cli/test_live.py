@@ -1,13 +1,16 @@
 """The command `live` without a browser: what its loops do with handles and buttons, and what it refuses."""
 
 import contextlib
+import types
+import webbrowser
 from unittest.mock import MagicMock
 
 import gymnasium as gym
 import numpy as np
 import pytest
 
-from dual_ur10.cli.live import _buttons
+from dual_ur10.cli import options
+from dual_ur10.cli.live import buttons_of
 from dual_ur10.cli.live_session import LiveSession, WatchSession
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.rendering.live.guard import bind
@@ -17,6 +20,7 @@ from dual_ur10.errors import DeviceGarbageError, RenderError, StartError
 from dual_ur10.policies import load
 from dual_ur10.policies.operators import page as page_module
 from dual_ur10.policies.operators.catalog import operator_with
+from dual_ur10.policies.registry import keywords_for
 from dual_ur10.sim2real.processes.system import LOCAL
 from tests.cli.command import run
 from tests.policies.operators.hands import Hand, twist
@@ -30,7 +34,7 @@ class Driver(RawPage):
 
     def __init__(self, task="Handover", policy=None, **keywords):
         setup = EnvSetup.resolve(task, keywords)
-        super().__init__(task, _buttons(setup, takes=policy is not None), **keywords)
+        super().__init__(task, buttons_of(setup, takes=policy is not None), **keywords)
         self.env = gym.make(setup.env_id, **keywords)
         self.core = self.env.unwrapped.core
         actor = None if policy is None else load(policy, setup.env_id, **keywords)
@@ -47,6 +51,7 @@ class Driver(RawPage):
         return self.core.pipeline.adapter.commanded_q_rad[0].copy()
 
     def close(self):
+        self.session.shown.close()
         self.env.close()
         super().close()
 
@@ -242,6 +247,89 @@ def test_time_can_be_paused_and_advanced_by_one_step(drive):
     assert driver.session.shown.episode == 1
 
 
+def watching(drive):
+    """Return the driver of a session as `view` makes it: no operator, and policies to switch between."""
+    driver = drive(task="SineTracking")
+
+    def make(name):
+        return *options.make("SineTracking", name, {}, 0), None
+
+    driver.session.shown.close()
+    driver.session = LiveSession(*make("scripted"), driver.page, 7, ("scripted", "no/folder", "learned"), make)
+    driver.session.begin(7)
+    return driver
+
+
+def test_seeds_count_up_and_a_reset_repeats_one(drive):
+    driver = watching(drive)
+    begun = [driver.page.memory.rows()[0][-1].qpos]
+    for name, seed in (("reset", 7), ("next_seed", 8), ("reset", 8)):
+        driver.turn(2)
+        driver.press(name)
+        driver.turn()
+        assert driver.words["episode"].endswith(f", step 0, seed {seed}")
+        begun.append(driver.page.memory.rows()[0][-1].qpos)
+    np.testing.assert_array_equal(begun[::2], begun[1::2])
+
+
+def test_the_speed_is_that_of_its_button(drive, monkeypatch):
+    driver = watching(drive)
+    slept, turns, turn = [], iter(range(2)), driver.session.turn
+
+    def turned():
+        next(turns)
+        return turn()
+
+    stopped = types.SimpleNamespace(monotonic=lambda: 0.0, sleep=slept.append)
+    monkeypatch.setattr("dual_ur10.cli.live_session.time", stopped)
+    monkeypatch.setattr(LivePage, "is_running", True)
+    monkeypatch.setattr(driver.session, "turn", turned)
+    driver.press("speed_4")
+    with pytest.raises(StopIteration):
+        driver.session.run(None)
+    assert slept == pytest.approx([0.01, 0.02])
+    assert driver.words["episode"].endswith(", 4× speed")
+
+
+def test_another_policy_acts_from_the_beginning_in_an_environment_that_fits_it(drive):
+    driver = watching(drive)
+    driver.turn(2)
+    assert driver.words["progress"].startswith("error L ")
+    assert driver.words["reward"].startswith("return ")
+    assert driver.words["reward"].count(", ") == len(driver.core.weights) - 1
+    driver.press("policy_2")
+    driver.turn()
+    assert (driver.words["policy"], driver.words["episode"]) == ("learned", "1, step 0, seed 7")
+    fitting = keywords_for("learned", driver.env.spec.id, {})
+    assert driver.session.shown.unwrapped.core.setup.options == EnvSetup.resolve("SineTracking", fitting).options
+    driver.press("policy_15")  # a page can name no other policy than the program
+    driver.turn(2)
+    assert driver.words["episode"].startswith("1, step 2")
+
+
+def test_a_policy_that_cannot_be_used_is_named_and_the_other_one_goes_on(drive):
+    driver = watching(drive)
+    driver.press("policy_1")
+    driver.turn(2)
+    assert driver.words["policy"].startswith("REFUSED no/folder: ")
+    assert driver.words["episode"].startswith("0, step 2")
+
+
+class Succeeding(gym.Wrapper):
+    def step(self, action):
+        observation, reward, *_, info = self.env.step(action)
+        return observation, reward, True, False, {**info, "is_success": True}
+
+
+def test_successes_are_counted(drive):
+    driver = watching(drive)
+    assert driver.words["success"] == "not yet; 0 of 0 episodes"
+    driver.session.shown.env = Succeeding(driver.session.shown.env)
+    driver.turn(2)
+    assert driver.words["success"] == "not yet; 2 of 2 episodes"
+    assert driver.words["episode"] == "2, step 0, seed 9"
+
+
 def test_a_gripper_opens_and_closes_while_its_handle_is_held(drive):
     driver = drive()
     driver.turn(2)
@@ -348,6 +436,47 @@ def test_what_does_not_go_together_is_named(tmp_path, arguments, words):
     assert words in text
 
 
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["-p", "zero", "-p", "psychic"], "unknown policy 'psychic'"),
+        ([each for number in range(13) for each in ("-p", f"own:Policy{number}")], "at most 16 policies"),
+    ],
+)
+def test_what_view_cannot_show_is_named(arguments, words):
+    code, text = run("view", "SineTracking", *arguments)
+    assert (code, words in text) == (2, True)
+
+
+def test_view_refuses_a_cell_of_controllers(monkeypatch):
+    """Its page has no button that stops both arms."""
+    setup = types.SimpleNamespace(config=types.SimpleNamespace(controllers=True))
+    monkeypatch.setattr("dual_ur10.cli.view.setup_for", lambda *_: setup)
+    code, text = run("view", "SineTracking", "--set", "cell=lab.toml")
+    assert (code, "`live --cell` shows" in text) == (2, True)
+
+
+def test_view_opens_a_page_without_a_stop_and_a_browser_that_has_a_window(monkeypatch):
+    made, asked = [], []
+    original = page_module.open_page
+
+    def open_page(*arguments, **keywords):
+        made.append(keywords)
+        return original(*arguments, system=serving_nobody(), **keywords)
+
+    monkeypatch.setattr(page_module, "open_page", open_page)
+    monkeypatch.setattr(LivePage, "wait_until_ready", lambda self: setattr(self, "url", "http://the.page/"))
+    monkeypatch.setattr(LiveSession, "run", interrupted)
+    monkeypatch.setattr(webbrowser, "get", lambda: types.SimpleNamespace(open=asked.append))
+    for display, more in ((":0", ()), (":0", ("--no-browser",)), ("", ())):
+        monkeypatch.setenv("DISPLAY", display)
+        monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+        code, text = run("view", "SineTracking", "-p", "zero", "--cameras", "none", *more)
+        assert (code, "closed" in text, asked) == (0, True, ["http://the.page/"])
+    assert made[0]["policies"][:2] == ("zero", "scripted")
+    assert not made[0]["handles"]
+
+
 def test_a_busy_port_is_named():
     with bind(0) as taken:
         code, text = run("live", "SineTracking", "--port", str(taken.getsockname()[1]), "--cameras", "none")
@@ -393,13 +522,13 @@ def commanding(monkeypatch, cell):
     def lead(session, seconds):
         session.begin(0)
         session.turn()
-        page, begun = pages[0], session._operator.tools_m.copy()
+        page, begun = pages[0], session.operator.tools_m.copy()
         page.memory.beat(LOCAL.clock.now_s() + FOREVER_S)
         wanted = begun + np.array([[0, 0, 0.02, 0, 0, 0, 0], [0] * 7])
         page.memory.put_handles(Handles(wanted, np.array([True, False]), np.full(2, np.nan), 0.0))
         for _ in range(20):
             session.turn()
-        turned.append((session._operator.tools_m - begun)[:, 2])
+        turned.append((session.operator.tools_m - begun)[:, 2])
         if len(pages) == 1:
             turned.append(run(*COMMAND))
 

@@ -72,6 +72,7 @@ def open_page(
     port: int = PORT,
     cameras: str = CAMERAS,
     handles: bool = True,
+    policies: Sequence[str] = (),
     system: System = LOCAL,
 ) -> LivePage:
     """Start the page of an environment. `LivePage.wait_until_ready` waits for it.
@@ -82,6 +83,7 @@ def open_page(
         port: Port of the loopback interface; 0: any free one.
         cameras: Names of cameras of the scene whose images are shown, with "," or "/" between them; or "none".
         handles: Drag handles at both tools, and buttons for the grippers.
+        policies: Names of the policies between which the page switches.
         system: Clock and processes.
 
     Raises:
@@ -102,6 +104,7 @@ def open_page(
         handles=handles,
         grippers=handles and equipment.grippers and not equipment.welded,
         cameras=names,
+        policies=tuple(policies),
     )
     return LivePage(about, port=port, system=system)
 

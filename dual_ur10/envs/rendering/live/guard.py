@@ -28,9 +28,7 @@ PORT: Final = 8642
 _COOKIE: Final = "dual_ur10_live_{}"
 _LARGEST_BYTES: Final = 2**16  # of a message from a browser: a press or a pose
 _PING_S, _PONG_S = 2.0, 4.0  # a page that is lost without a word is gone after at most their sum
-_REFUSED: Final = (
-    "This page needs the token of its program: open the whole address that `python -m dual_ur10 live` has printed.\n"
-)
+_REFUSED: Final = "This page needs the token of its program: open the whole address that it has printed.\n"
 
 
 def bind(port: int) -> socket.socket:

@@ -8,18 +8,20 @@ import html
 import logging
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, Final
 
 import numpy as np
 
+from dual_ur10.assets.prop import Camera
 from dual_ur10.assets.scene import build_model
 from dual_ur10.assets.settings import SceneSettings
+from dual_ur10.assets.visuals import FIXED_CAMERAS
 from dual_ur10.envs.rendering.images import Canvas
 from dual_ur10.envs.rendering.live.commander import Commander
 from dual_ur10.envs.rendering.live.guard import address, bind, make_server
 from dual_ur10.envs.rendering.live.history import SHOWN_S, History, Sending
-from dual_ur10.envs.rendering.live.memory import BUTTONS, TAKES, LiveMemory, Row
+from dual_ur10.envs.rendering.live.memory import BUTTONS, POLICIES, SPEEDS, TAKES, LiveMemory, Row
 from dual_ur10.envs.rendering.live.scene import Poser, parts_of
 from dual_ur10.errors import DualUR10Error, LinkError, RenderError
 from dual_ur10.kinematics.ur10 import ARMS
@@ -37,6 +39,9 @@ CAMERA: Final = (2.3, -2.2, 1.8), (-0.1, 0.25, 0.25)
 FOV_RAD: Final = 0.8
 """Vertical angle of the picture."""
 
+START: Final = "start"
+"""Name of the viewpoint of a page that was just opened."""
+
 _NARROW: Final = 0.8  # ratio of width to height below which the panel covers the lower part of the picture
 _NARROW_CAMERA: Final = (3.6, -3.3, 2.4), (-0.1, 0.0, -0.6)
 
@@ -53,6 +58,7 @@ _APART_M: Final = 0.003  # distance of a tool from its target from which on the 
 _TARGET_OPACITY: Final = 0.3
 _TARGET_RGB: Final = ((40, 120, 255), (255, 120, 20))
 _SERIES_RGB: Final = ("#2878ff", "#ff7814")
+_LONGEST: Final = 24  # text of a policy
 _AUTOGROUP: Final = "/proc/self/autogroup"
 
 _LOG: Final = logging.getLogger(__name__)
@@ -75,7 +81,7 @@ class Button:
 
 LOOKS: Final[Mapping[str, Button]] = {
     "stop": Button("STOP BOTH ARMS", "Stop both arms at once. Every open page may.", "red"),
-    "reset": Button("Reset", "Begin a new episode"),
+    "reset": Button("Reset", "Begin the episode again, with the same seed"),
     "record": Button("Record", "Begin to keep the episode"),
     "success": Button("Success", "Keep the episode as a success", "green"),
     "discard": Button("Discard", "Throw the episode away"),
@@ -87,7 +93,7 @@ LOOKS: Final[Mapping[str, Button]] = {
     "step": Button("One step", "Advance the paused simulation by one action"),
     "next_seed": Button("Next seed", "Begin the episode of the next seed"),
 }
-"""Looks of the buttons, by their names."""
+"""Looks of the buttons, by their names; those of `SPEEDS` and `POLICIES` stand in groups."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,10 +104,11 @@ class About:
         title: Title of the panel.
         scene: Scene of the cell.
         speed_rad_s: (2, 6) speed limits of the joints.
-        buttons: Names of the buttons shown, of `BUTTONS`; without "stop" the page only watches.
+        buttons: Names of the buttons shown, of `BUTTONS`; without any, and without handles, the page only watches.
         handles: Drag handles at both tools.
         grippers: Buttons for both grippers.
         cameras: Cameras whose images are shown.
+        policies: Names of the policies between which the page switches, at most as many as `POLICIES`.
     """
 
     title: str
@@ -111,6 +118,7 @@ class About:
     handles: bool = False
     grippers: bool = False
     cameras: tuple[str, ...] = ()
+    policies: tuple[str, ...] = ()
 
     @property
     def commands(self) -> bool:
@@ -332,12 +340,27 @@ class Page:
         if "stop" in about.buttons:
             self._add_button(gui, "stop")
         self._words = gui.add_html(_table({}))
+        cameras = *FIXED_CAMERAS, *about.scene.equipment.cameras
+        viewpoints = {START: None, **{each.name: each for each in cameras}}
+        group = gui.add_button_group(
+            "View from", tuple(viewpoints), hint="Move this page's viewpoint, not those of others"
+        )
+
+        async def look(event: Any) -> None:
+            _look(event.client, viewpoints[event.target.value])
+
+        group.on_click(look)
         if not about.commands:
             return
         with gui.add_folder("Episode"):
             for name in ("reset", "record", "success", "discard", "next_seed", "pause", "step"):
                 if name in about.buttons:
                     self._add_button(gui, name)
+            if set(SPEEDS) <= {*about.buttons}:
+                self._add_group(gui, "Speed", {f"{ratio:g}×": name for name, ratio in SPEEDS.items()})
+            if about.policies:
+                names = dict(zip(about.policies, POLICIES, strict=False))
+                self._add_group(gui, "Policy", {_end_of(policy, names): name for policy, name in names.items()})
         if about.handles:
             with gui.add_folder("Lead the arms"):
                 for name in TAKES:
@@ -346,11 +369,11 @@ class Page:
                 for arm, name in enumerate(ARMS if about.grippers else ()):
                     group = gui.add_button_group(f"{name} gripper", ("open", "close"))
                     group.on_click(self._gripper_of(arm))
-            with gui.add_folder("Who commands"):
-                take = gui.add_button("Take the controls", hint="Command, if no other page does")
-                take.on_click(self._take)
-                leave = gui.add_button("Leave the controls", hint="Watch, so that another page may command")
-                leave.on_click(self._give_up)
+        with gui.add_folder("Who commands", expand_by_default=about.handles):
+            take = gui.add_button("Take the controls", hint="Command, if no other page does")
+            take.on_click(self._take)
+            leave = gui.add_button("Leave the controls", hint="Watch, so that another page may command")
+            leave.on_click(self._give_up)
 
     def _add_button(self, gui: Any, name: str) -> None:
         look = LOOKS[name]
@@ -359,10 +382,22 @@ class Page:
         async def press(event: Any) -> None:
             if name == "stop":
                 self._stop()
-            if not self.commander.press(event.client_id, name):
-                _refuse(event.client)
+            self._press(event, name)
 
         button.on_click(press)
+
+    def _add_group(self, gui: Any, label: str, names: Mapping[str, str]) -> None:
+        """Add buttons side by side: their names by their texts."""
+        group = gui.add_button_group(label, tuple(names))
+
+        async def press(event: Any) -> None:
+            self._press(event, names[event.target.value])
+
+        group.on_click(press)
+
+    def _press(self, event: Any, name: str) -> None:
+        if not self.commander.press(event.client_id, name):
+            _refuse(event.client)
 
     def _stop(self) -> None:
         """Latch a stop of both arms of controllers, without waiting for the program."""
@@ -391,7 +426,7 @@ class Page:
 
     async def _enter(self, client: Any) -> None:
         if client.camera.aspect < _NARROW:
-            client.camera.position, client.camera.look_at = _NARROW_CAMERA
+            _look(client, None)
         if self.commander.enter(client.client_id) and self._about.commands:
             self._add_handles(client)
 
@@ -486,6 +521,22 @@ class Page:
             self._controllers.close()
 
 
+def _look(client: Any, camera: Camera | None) -> None:
+    """Move the viewpoint of one page to that of a camera; None: to where it began."""
+    start = _NARROW_CAMERA if client.camera.aspect < _NARROW else CAMERA
+    position, at = start if camera is None else (camera.position_m, camera.target_m)
+    with client.atomic():
+        # Moving the position moves the point that is looked at, too.
+        client.camera.position = position
+        client.camera.look_at = at
+
+
+def _end_of(name: str, names: Collection[str]) -> str:
+    """Return the end of a long name, or the whole where another one ends likewise."""
+    end = name[-_LONGEST:]
+    return name if end == name or any(each.endswith(end) for each in names if each != name) else f"…{end}"
+
+
 def _refuse(client: Any) -> None:
     client.add_notification(
         title="This page watches",
@@ -557,5 +608,5 @@ def _yield_to_others() -> None:
         file.write(str(_NICE))
 
 
-if not set(LOOKS) == set(BUTTONS):
+if not {*LOOKS, *SPEEDS, *POLICIES} == {*BUTTONS}:
     raise RuntimeError("every button of the page has a look")

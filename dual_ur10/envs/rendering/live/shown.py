@@ -9,6 +9,7 @@ import numpy as np
 
 from dual_ur10.envs.rendering.live.live_page import LivePage
 from dual_ur10.envs.rendering.live.memory import COMMANDERS
+from dual_ur10.envs.rendering.marks import describe
 from dual_ur10.kinematics.ur10 import ARMS
 
 OPEN: Final = "open, arms may move"
@@ -36,7 +37,10 @@ class Shown(gym.Wrapper[Any, Any, Any, Any]):
         super().__init__(env)
         self._page, self._core, self._other = page, env.unwrapped.core, other
         config = self._core.config
-        self.words = {"arms": f"{config.kind} cell, commanded" if config.controllers else "simulation"}
+        self.words = {
+            "task": self._core.setup.env_id,
+            "arms": f"{config.kind} cell, commanded" if config.controllers else "simulation",
+        }
         if config.controllers:
             page.attach(self._core.cell)
         self.latch = "" if config.controllers else OPEN
@@ -46,12 +50,15 @@ class Shown(gym.Wrapper[Any, Any, Any, Any]):
         self._return = 0.0
         self._gate = ""
         self._info: dict[str, Any] = {}
+        self._seed: int | None = None
+        self._is_over, self._ended, self._succeeded = False, 0, 0
 
     def reset(self, **arguments: Any) -> tuple[Any, dict[str, Any]]:
         """Begin an episode; see `gymnasium.Env.reset`."""
         observation, info = self.env.reset(**arguments)
         self.episode, self.steps, self._return = self.episode + 1, 0, 0.0
-        self._gate, self._info = "releases all", info
+        self._gate, self._info, self._seed = "releases all", info, arguments.get("seed")
+        self._is_over = False
         self._show({})
         return observation, info
 
@@ -61,6 +68,9 @@ class Shown(gym.Wrapper[Any, Any, Any, Any]):
         self.steps, self._return, self._info = self.steps + 1, self._return + float(reward), info
         if "safety" in info:
             self._gate = f"REFUSED at step {self.steps}: {info['safety']}"
+        if (terminated or truncated) and not self._is_over:  # who leads in a simulation may go on
+            self._is_over = True
+            self._ended, self._succeeded = self._ended + 1, self._succeeded + bool(info["is_success"])
         self._show({"gated": "safety" in info, "reward": float(reward), "success": bool(info["is_success"])})
         return observation, reward, terminated, truncated, info
 
@@ -88,12 +98,19 @@ class Shown(gym.Wrapper[Any, Any, Any, Any]):
 
     def say(self) -> None:
         """Write the state in words."""
-        stage = f", stage {int(self._info['stage'])}" if "stage" in self._info else ""
+        info = self._info
+        seed = "" if self._seed is None else f", seed {self._seed}"
         state = f", {self.state}" if self.state else ""
-        found = {**self.words, "episode": f"{self.episode}, step {self.steps}{stage}, return {self._return:.2f}{state}"}
+        found = {**self.words, "episode": f"{self.episode}, step {self.steps}{seed}{state}"}
+        if stage := describe(self._core.task.stages, info):
+            found["progress"] = stage
+        terms = [f"{name.partition('/')[2]} {value:.2f}" for name, value in info.items() if name.startswith("reward/")]
+        found["reward"] = f"return {self._return:.2f}{': ' if terms else ''}{', '.join(terms)}".replace("_", " ")
+        success = "yes" if info.get("is_success", False) else "not yet"
+        found["success"] = f"{success}; {self._succeeded} of {self._ended} episodes"
         for arm, who in zip(ARMS, self._leaders, strict=True):
             found[f"{arm} arm"] = f"led by {'the ' * (who != 'nobody')}{who}"
-        found["gate"] = self._gate + (", leads along what is in the way" if self._info.get("led", False) else "")
+        found["gate"] = self._gate + (", leads along what is in the way" if info.get("led", False) else "")
         if self.latch:
             found["latch"] = self.latch
         self._page.say(found)

@@ -182,7 +182,7 @@ class LiveSession:
 
         One that cannot be used is named in the page, and nothing else changes.
         """
-        if self._make is None:
+        if self._make is None or self._controllers:
             return
         before, made = self.shown, None
         before.words["policy"] = f"{name} is loaded"

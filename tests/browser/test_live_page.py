@@ -113,6 +113,16 @@ def test_a_dragged_handle_moves_the_commanded_tool(live, new_page):
     np.testing.assert_allclose(live.operator.tools_m[0, :2], tool[:2], atol=0.01)
 
 
+def test_a_button_of_a_group_sets_the_speed(live, new_page):
+    page = new_page(live.url)
+    _begin(live, page)
+    _press(page, "0.5×")
+    page.get_by_text("0.5× speed").wait_for()
+    _press(page, "overhead")
+    _press(page, "1×")
+    page.get_by_text("0.5× speed").wait_for(state="detached")
+
+
 def test_a_closed_page_releases_its_handle(live, new_page):
     page = new_page(live.url)
     _begin(live, page)

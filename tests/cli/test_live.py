@@ -444,7 +444,7 @@ def test_what_does_not_go_together_is_named(tmp_path, arguments, words):
     ],
 )
 def test_what_view_cannot_show_is_named(arguments, words):
-    code, text = run("view", "SineTracking", *arguments)
+    code, text = run("view", "SineTracking", "--no-browser", "--port", "0", "--seconds", "0.1", *arguments)
     assert (code, words in text) == (2, True)
 
 

@@ -1,6 +1,7 @@
 """The live page without a browser: its memory, its guards, and who commands."""
 
 import asyncio
+import contextlib
 import http.client
 import os
 import signal
@@ -8,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+import types
 import urllib.parse
 
 import mujoco
@@ -15,6 +17,7 @@ import numpy as np
 import pytest
 
 from dual_ur10.assets.scene import build_model
+from dual_ur10.assets.visuals import FIXED_CAMERAS
 from dual_ur10.envs.core.core import Core
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.rendering.live.commander import GRIP_S, Commander
@@ -22,7 +25,17 @@ from dual_ur10.envs.rendering.live.guard import LOOPBACK, bind, make_server
 from dual_ur10.envs.rendering.live.history import History, Sending
 from dual_ur10.envs.rendering.live.live_page import LivePage
 from dual_ur10.envs.rendering.live.memory import BUTTONS, POLICIES, RING, SPEEDS, STALE_S, Handles, LiveMemory
-from dual_ur10.envs.rendering.live.page import LOOKS, About, Controllers, Page, _known
+from dual_ur10.envs.rendering.live.page import (
+    _NARROW_CAMERA,
+    CAMERA,
+    LOOKS,
+    About,
+    Controllers,
+    Page,
+    _end_of,
+    _known,
+    _look,
+)
 from dual_ur10.envs.rendering.live.scene import Poser, parts_of
 from dual_ur10.errors import DeviceUnpluggedError, MissingExtraError, SettingsError
 from dual_ur10.policies.operators.device import checked
@@ -140,6 +153,39 @@ def test_presses_arrive_once_and_in_order(memory):
 def test_every_button_has_a_look_and_a_label_of_its_own():
     assert {*LOOKS} == {*BUTTONS} - {*SPEEDS, *POLICIES}
     assert len({each.label for each in LOOKS.values()}) == len(LOOKS)
+
+
+class _Camera:
+    """Viewpoint of a page, which moves as a whole with its position."""
+
+    def __init__(self, aspect):
+        self.aspect, self._position, self.look_at = aspect, np.zeros(3), np.ones(3)
+
+    @property
+    def position(self):
+        return self._position
+
+    @position.setter
+    def position(self, position):
+        self.look_at = self.look_at + np.subtract(position, self._position)
+        self._position = position
+
+
+@pytest.mark.parametrize(
+    ("aspect", "camera", "expected"),
+    [(1.6, None, CAMERA), (0.5, None, _NARROW_CAMERA), (0.5, FIXED_CAMERAS[0], FIXED_CAMERAS[0])],
+)
+def test_a_page_looks_from_a_camera_or_from_where_it_began(aspect, camera, expected):
+    client = types.SimpleNamespace(camera=_Camera(aspect), atomic=contextlib.nullcontext)
+    _look(client, camera)
+    position, at = expected if camera is None else (expected.position_m, expected.target_m)
+    np.testing.assert_array_equal([client.camera.position, client.camera.look_at], [position, at])
+
+
+def test_a_long_name_of_a_policy_is_cut_where_that_is_clear():
+    names = ["zero", "runs/a_long_name_of_a_run/policy", "runs/b/a_long_name_of_a_run/policy"]
+    assert [_end_of(each, names) for each in names] == names
+    assert _end_of(names[1], names[:2]) == "…ong_name_of_a_run/policy"
 
 
 # Who commands.

@@ -252,7 +252,7 @@ STATEMENTS = [
     ),
     (README, "{stop} control periods later in all 200 trials, {stop_busy} when the machine is busy."),
     (README, "both at rest after at most {killed} ms, {killed_busy} ms when busy |"),
-    (README, "does not succeed in every handover: {ppo_handover} |"),
+    (README, "does not succeed in every handover: {ppo_handover}; a third seed is unsteady |"),
     (README, "succeeds in {stock} unseen episodes (seeds 0 to 2), with mean flange errors of {stock_mm} mm, after"),
     (README, "after {stock_minutes} min on one core, which the first two shared"),
     ("docs/how-to/train-your-own.md", "{stock} episodes after {stock_minutes} minutes"),

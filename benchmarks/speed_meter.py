@@ -14,12 +14,12 @@ from dual_ur10.types import Rows
 class SpeedMeter:
     """Wrapper of a policy that keeps the largest joint speed over its limit.
 
-    Speeds are differences of the observed joint positions over control periods, so that they
+    Speeds are differences of the observed joint positions over policy periods, so that they
     contain the noise of the positions. The last step of each episode is left out: no action follows it.
 
     Args:
         policy: The acting policy, an `EpisodeAware`.
-        period_s: Control period.
+        period_s: Policy period.
         task: Class of the task: its speed limits, and the layout of its observations.
     """
 

@@ -199,11 +199,11 @@ def episode(case: Case, env: Any, policy: Policy, seed: int, on_step: Callable[[
 
 
 def speed_ratio(q_rad: Array, period_s: float, limits: MotionLimits) -> float:
-    """Return the largest joint speed of an episode, by differences over control periods, over its limit.
+    """Return the largest joint speed of an episode, by differences over policy periods, over its limit.
 
     Args:
-        q_rad: (k, 2, 6) joint positions, a control period apart.
-        period_s: Control period.
+        q_rad: (k, 2, 6) joint positions, a policy period apart.
+        period_s: Policy period.
         limits: Motion limits of the arms.
     """
     speed = np.abs(np.diff(q_rad, axis=0)) / period_s

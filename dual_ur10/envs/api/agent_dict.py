@@ -58,7 +58,7 @@ class AgentDictWrapper(gym.Wrapper[dict[str, Array], dict[str, NDArray[Any]], An
         return self._observation(), numbers
 
     def step(self, action: dict[str, NDArray[Any]]) -> tuple[dict[str, Array], Any, bool, bool, dict[str, Any]]:
-        """Advance one control period; see `gymnasium.Env.step`.
+        """Advance one policy period; see `gymnasium.Env.step`.
 
         Raises:
             ActionError: There is not one action for each agent, or one is malformed. Nothing has moved.

@@ -64,7 +64,7 @@ class DualArmDmEnv(Environment):  # type: ignore[misc]  # the package dm_env has
         return restart(observation)
 
     def step(self, action: NDArray[Any]) -> TimeStep:
-        """Advance one control period, or begin an episode where none is running.
+        """Advance one policy period, or begin an episode where none is running.
 
         Raises:
             ActionError: The action is malformed. Nothing has moved.

@@ -118,7 +118,7 @@ class DualArmEnv(gym.Env[Any, Array]):
         return row_of(observation, 0), row_of(info, 0)
 
     def step(self, action: Array) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Advance one control period; see `gymnasium.Env.step`.
+        """Advance one policy period; see `gymnasium.Env.step`.
 
         Raises:
             ActionError: The action has the wrong shape or type, or holds NaN or infinity. Nothing has moved.
@@ -129,7 +129,7 @@ class DualArmEnv(gym.Env[Any, Array]):
         return observation, float(step.reward[0]), bool(step.terminated[0]), bool(step.truncated[0]), info_of(step)
 
     def advance(self, action: object) -> Step:
-        """Advance one control period as `step` does, and return the core's result, which has no images."""
+        """Advance one policy period as `step` does, and return the core's result, which has no images."""
         if self._terminated:
             raise ResetNeededError("step was called after `terminated`: the episode is over, call reset()")
         step = self.core.step(action)

@@ -157,7 +157,7 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
     def step(
         self, actions: Mapping[str, NDArray[Any]]
     ) -> tuple[dict[str, Array], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
-        """Advance one control period; see `pettingzoo.ParallelEnv.step`.
+        """Advance one policy period; see `pettingzoo.ParallelEnv.step`.
 
         Args:
             actions: The action of each agent, in any order.

@@ -142,7 +142,7 @@ class CellsVecEnv(VecEnv):
         self._actions = np.array(actions)
 
     def step_wait(self) -> tuple[Array, Array, NDArray[np.bool_], list[dict[str, Any]]]:
-        """Advance all cells by one control period.
+        """Advance all cells by one policy period.
 
         Returns:
             Observations (rows, size), rewards (rows,), mask of ended episodes (rows,), and infos.

@@ -153,7 +153,7 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
     def step(  # type: ignore[override]  # Gymnasium types the flags as it types rewards
         self, actions: Array
     ) -> tuple[Any, Array, Mask, Mask, dict[str, Any]]:
-        """Advance all cells by one control period; see `gymnasium.vector.VectorEnv.step`.
+        """Advance all cells by one policy period; see `gymnasium.vector.VectorEnv.step`.
 
         Raises:
             ActionError: The actions are malformed. Nothing has moved.

@@ -283,7 +283,7 @@ class Core:
         return self.agents.joint, info
 
     def step(self, action: object) -> Step:
-        """Advance all cells by one control period.
+        """Advance all cells by one policy period.
 
         Args:
             action: Numbers of a shape that fits (n, action size).
@@ -438,7 +438,7 @@ class Core:
         self._open().copy_state(row, model, data)
 
     def _advance(self, cell: Cell, command: Command) -> CellStep:
-        """Advance the cell by a control period, and record a fault."""
+        """Advance the cell by a policy period, and record a fault."""
         recorder = self.recorder
         if recorder is not None and recorder.failure and self.options.record_failure == "stop":
             cell.stop(f"the run is not recorded any more: {recorder.failure}")

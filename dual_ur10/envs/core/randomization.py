@@ -36,7 +36,7 @@ class Randomization:
         joint_speed_noise_rad_s: σ of each measured joint speed, at every observation.
         object_noise_m: σ along each axis of the object's measured position, constant in an episode.
         object_noise_rad: σ about each axis of its measured orientation, constant in an episode.
-        observation_delay_s: Up to this age of an observation, at most a control period.
+        observation_delay_s: Up to this age of an observation, at most a policy period.
         base_shift_m: ± offset of a base along each axis from its nominal position, per arm.
         base_turn_rad: ± rotation of a base about the vertical, per arm.
         object_mass: ± fraction of the object's mass and inertia.

@@ -106,7 +106,7 @@ class Observer:
         return self._observe(state, rows)
 
     def advance(self, state: Array, rows: Rows | None = None) -> Any:
-        """Return the observation after a control period of `rows`, which get new images where they are due.
+        """Return the observation after a policy period of `rows`, which get new images where they are due.
 
         Args:
             state: (n, size) numbers of the core.
@@ -174,7 +174,7 @@ def row_of(observation: Any, row: int) -> Any:
 
 
 def _periods(policy_rate_hz: float, pixels_rate_hz: object) -> int:
-    """Return the number of control periods from one image to the next.
+    """Return the number of policy periods from one image to the next.
 
     Raises:
         RateError: It is not whole; the message names the nearest legal rates.

@@ -2,7 +2,7 @@
 
 Flange poses are computed from the joint positions with `dual_ur10.kinematics`, not taken from the simulator: a site
 that is one physics step old would add 0.6 mm at the sine's speed. Speeds are central differences of positions one
-control period apart: they contain no frequency above half the policy's rate.
+policy period apart: they contain no frequency above half the policy's rate.
 """
 
 from __future__ import annotations

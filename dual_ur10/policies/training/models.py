@@ -64,7 +64,7 @@ class Differences(VecEnvWrapper):
         return self.venv.reset()
 
     def step_wait(self) -> tuple[Any, Array, NDArray[np.bool_], list[dict[str, Any]]]:
-        """Advance all cells by one control period, as the environment does, with other rewards."""
+        """Advance all cells by one policy period, as the environment does, with other rewards."""
         observation, reward, over, infos = self.venv.step_wait()
         named = f"reward/{_FINISH}", f"reward/{_REFUSAL}"
         finish, refusal = np.array([[info.get(name, 0.0) for name in named] for info in infos]).T

@@ -219,7 +219,7 @@ class Cell(Protocol):
         """Bring all cells, or `rows` of them, to the start of an episode."""
 
     def advance(self, command: Command) -> CellStep:
-        """Send the targets of one control period, and return the state at its end."""
+        """Send the targets of one policy period, and return the state at its end."""
 
     def finish(self) -> None:
         """End the episode: no more targets follow, and arms that still move stop."""

@@ -1,4 +1,4 @@
-"""From an action to the servoj targets of one control period.
+"""From an action to the servoj targets of one policy period.
 
     interpolate (C²)  ->  compensate the lag  ->  limit
 

@@ -31,7 +31,7 @@ def home(n=1):
 
 
 def wave(period, n=1, size=0.05):
-    """Return the targets of one control period of a slow wave of all joints, (n, ticks, 2, 6)."""
+    """Return the targets of one policy period of a slow wave of all joints, (n, ticks, 2, 6)."""
     time = (period * TICKS + np.arange(1, TICKS + 1)) * 0.008
     offset = size * (1 - np.cos(2 * np.pi * 0.5 * time))
     signs = np.array([[1, -1, 1, 1, -1, 1], [-1, 1, -1, 1, 1, 1]])

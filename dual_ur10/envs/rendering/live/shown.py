@@ -63,7 +63,7 @@ class Shown(gym.Wrapper[Any, Any, Any, Any]):
         return observation, info
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Advance one control period; see `gymnasium.Env.step`."""
+        """Advance one policy period; see `gymnasium.Env.step`."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         self.steps, self._return, self._info = self.steps + 1, self._return + float(reward), info
         if "safety" in info:

@@ -8,7 +8,7 @@ from dual_ur10.cli.live import buttons_of
 from dual_ur10.cli.live_session import LiveSession
 from dual_ur10.cli.options import make
 from dual_ur10.envs.core.setup import EnvSetup
-from dual_ur10.envs.rendering.live.page import CAMERA, FOV_RAD
+from dual_ur10.envs.rendering.live.viewpoints import CAMERA, FOV_RAD
 from dual_ur10.errors import DeviceUnpluggedError, RenderError
 from dual_ur10.policies.operators.catalog import operator_with
 from dual_ur10.policies.operators.page import PageDevice, open_page

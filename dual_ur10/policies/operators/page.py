@@ -10,9 +10,9 @@ import numpy as np
 
 from dual_ur10.assets.visuals import cameras as cameras_of
 from dual_ur10.envs.core.setup import EnvSetup
+from dual_ur10.envs.rendering.live.about import About
 from dual_ur10.envs.rendering.live.guard import PORT
 from dual_ur10.envs.rendering.live.live_page import LivePage
-from dual_ur10.envs.rendering.live.page import About
 from dual_ur10.errors import DeviceUnpluggedError, SettingsError, UnknownNameError
 from dual_ur10.policies.operators.device import Reading
 from dual_ur10.sim2real.processes.system import LOCAL, System

@@ -20,23 +20,18 @@ from dual_ur10.assets.scene import build_model
 from dual_ur10.assets.visuals import FIXED_CAMERAS
 from dual_ur10.envs.core.core import Core
 from dual_ur10.envs.core.setup import EnvSetup
+from dual_ur10.envs.rendering.live.about import About
 from dual_ur10.envs.rendering.live.commander import GRIP_S, Commander
+from dual_ur10.envs.rendering.live.controllers import Controllers
 from dual_ur10.envs.rendering.live.guard import LOOPBACK, bind, make_server
 from dual_ur10.envs.rendering.live.history import History, Sending
 from dual_ur10.envs.rendering.live.live_page import LivePage
 from dual_ur10.envs.rendering.live.memory import BUTTONS, POLICIES, RING, SPEEDS, STALE_S, Handles, LiveMemory
-from dual_ur10.envs.rendering.live.page import (
-    _NARROW_CAMERA,
-    CAMERA,
-    LOOKS,
-    About,
-    Controllers,
-    Page,
-    _end_of,
-    _known,
-    _look,
-)
+from dual_ur10.envs.rendering.live.page import Page
+from dual_ur10.envs.rendering.live.panel import LOOKS, end_of
+from dual_ur10.envs.rendering.live.plots import _known
 from dual_ur10.envs.rendering.live.scene import Poser, parts_of
+from dual_ur10.envs.rendering.live.viewpoints import CAMERA, NARROW_CAMERA, look_from
 from dual_ur10.errors import DeviceUnpluggedError, MissingExtraError, SettingsError
 from dual_ur10.policies.operators.device import checked
 from dual_ur10.policies.operators.page import PageDevice
@@ -173,19 +168,19 @@ class _Camera:
 
 @pytest.mark.parametrize(
     ("aspect", "camera", "expected"),
-    [(1.6, None, CAMERA), (0.5, None, _NARROW_CAMERA), (0.5, FIXED_CAMERAS[0], FIXED_CAMERAS[0])],
+    [(1.6, None, CAMERA), (0.5, None, NARROW_CAMERA), (0.5, FIXED_CAMERAS[0], FIXED_CAMERAS[0])],
 )
 def test_a_page_looks_from_a_camera_or_from_where_it_began(aspect, camera, expected):
     client = types.SimpleNamespace(camera=_Camera(aspect), atomic=contextlib.nullcontext)
-    _look(client, camera)
+    look_from(client, camera)
     position, at = expected if camera is None else (expected.position_m, expected.target_m)
     np.testing.assert_array_equal([client.camera.position, client.camera.look_at], [position, at])
 
 
 def test_a_long_name_of_a_policy_is_cut_where_that_is_clear():
     names = ["zero", "runs/a_long_name_of_a_run/policy", "runs/b/a_long_name_of_a_run/policy"]
-    assert [_end_of(each, names) for each in names] == names
-    assert _end_of(names[1], names[:2]) == "…ong_name_of_a_run/policy"
+    assert [end_of(each, names) for each in names] == names
+    assert end_of(names[1], names[:2]) == "…ong_name_of_a_run/policy"
 
 
 # Who commands.

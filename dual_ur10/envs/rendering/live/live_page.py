@@ -10,9 +10,10 @@ from typing import Any, Final
 import numpy as np
 
 from dual_ur10.assets.scene import build_model
+from dual_ur10.envs.rendering.live.about import About
 from dual_ur10.envs.rendering.live.guard import PORT
 from dual_ur10.envs.rendering.live.memory import Handles, LiveMemory
-from dual_ur10.envs.rendering.live.page import About, main
+from dual_ur10.envs.rendering.live.page import main
 from dual_ur10.envs.rendering.live.scene import arm_rows
 from dual_ur10.errors import MissingExtraError, RenderError, SettingsError
 from dual_ur10.sim2real.processes.system import LOCAL, Process, System

@@ -11,13 +11,10 @@ import numpy as np
 from dual_ur10.envs.rendering.images import Canvas
 from dual_ur10.envs.rendering.live.about import About
 from dual_ur10.envs.rendering.live.memory import Row
-from dual_ur10.envs.rendering.live.scene import Poser, parts_of
+from dual_ur10.envs.rendering.live.scene import MOVED_M, Poser, parts_of
 from dual_ur10.errors import RenderError
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.types import Array
-
-MOVED_M: Final = 1e-4
-"""Change of a pose below which it is not sent."""
 
 _IMAGE_SIZE: Final = (320, 240)
 _IMAGE_S: Final = 0.25
@@ -28,14 +25,20 @@ _TARGET_RGB: Final = ((40, 120, 255), (255, 120, 20))
 
 
 class Drawing:
-    """Both arms, their targets and the objects in the browser's scene."""
+    """Both arms, their targets and the objects in the browser's scene.
 
-    def __init__(self, server: Any, model: Any) -> None:
-        self.poser = Poser(model)
+    Args:
+        server: viser's server.
+        model: MuJoCo's model of the cell.
+        poser: Poses of its bodies.
+    """
+
+    def __init__(self, server: Any, model: Any, poser: Poser) -> None:
+        self._poser = poser
         self._frames: dict[tuple[int, bool], Any] = {}
         self._sent: dict[tuple[int, bool], Array] = {}
         self._arms = {
-            body: 0 if model.body(body).name.startswith(f"{ARMS[0]}/") else 1 for body in self.poser.arm_bodies
+            body: 0 if model.body(body).name.startswith(f"{ARMS[0]}/") else 1 for body in self._poser.arm_bodies
         }
         server.scene.set_up_direction("+z")
         # Its own light throws no shadows: without a GPU they halve the rate of the pictures.
@@ -76,8 +79,8 @@ class Drawing:
 
     def show(self, row: Row) -> None:
         """Show the state of a row; only what has moved is sent."""
-        self.poser.pose(row.qpos, row.mocap, row.commanded_rad)
-        away_m = self.poser.away_m()
+        self._poser.pose(row.qpos, row.mocap, row.commanded_rad)
+        away_m = self._poser.away_m()
         for (body, target), frame in self._frames.items():
             if target:
                 shown = bool(away_m[self._arms[body]] > _APART_M)
@@ -85,7 +88,7 @@ class Drawing:
                     frame.visible = shown
                 if not shown:
                     continue
-            position, quat = self.poser.body(body, target=target)
+            position, quat = self._poser.body(body, target=target)
             pose = np.concatenate([position, quat])
             sent = self._sent.get((body, target))
             if sent is not None and np.abs(pose - sent).max() < MOVED_M:

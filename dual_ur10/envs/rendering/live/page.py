@@ -6,24 +6,21 @@ import contextlib
 import logging
 import math
 import os
-from collections.abc import Callable, Mapping
 from typing import Any, Final
 
-import numpy as np
-
 from dual_ur10.assets.scene import build_model
-from dual_ur10.assets.visuals import FIXED_CAMERAS
 from dual_ur10.envs.rendering.live.about import About
 from dual_ur10.envs.rendering.live.commander import Commander
 from dual_ur10.envs.rendering.live.controllers import Controllers
-from dual_ur10.envs.rendering.live.drawing import MOVED_M, Drawing, Pictures
+from dual_ur10.envs.rendering.live.drag_handles import DragHandles
+from dual_ur10.envs.rendering.live.drawing import Drawing, Pictures
 from dual_ur10.envs.rendering.live.guard import address, bind, make_server
-from dual_ur10.envs.rendering.live.memory import POLICIES, SPEEDS, TAKES, LiveMemory, Row
-from dual_ur10.envs.rendering.live.panel import LOOKS, end_of, refuse, table
+from dual_ur10.envs.rendering.live.memory import LiveMemory, Row
+from dual_ur10.envs.rendering.live.panel import Panel
 from dual_ur10.envs.rendering.live.plots import Plots
-from dual_ur10.envs.rendering.live.viewpoints import CAMERA, FOV_RAD, NARROW, START, look_from
+from dual_ur10.envs.rendering.live.scene import Poser
+from dual_ur10.envs.rendering.live.viewpoints import CAMERA, FOV_RAD, NARROW, look_from
 from dual_ur10.errors import DualUR10Error, LinkError
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.processes.system import LOCAL, System
 
 STOPPED: Final = "the button to stop both arms was pressed in the live page"
@@ -56,7 +53,8 @@ class Page:
         self._server, self._memory, self._about, self._clock = server, memory, about, system.clock
         self.commander = Commander(memory, system.clock)
         model = build_model(about.scene)
-        self._handles: dict[int, list[Any]] = {}
+        self._poser = Poser(model)
+        self._handles = DragHandles(about, self.commander, self._poser)
         self._controllers: Controllers | None = None
         self._seen, self._polls = 0, 0
         self._row: Row | None = None
@@ -66,146 +64,27 @@ class Page:
         camera = server.initial_camera
         camera.position, camera.look_at, camera.up, camera.fov = *CAMERA, (0.0, 0.0, 1.0), FOV_RAD
         with server.atomic():
-            self._add_panel(server.gui)
-            self._drawing = Drawing(server, model)
+            self._panel = Panel(server.gui, about, self.commander, self._handles, self._stop)
+            self._drawing = Drawing(server, model, self._poser)
             self._pictures = Pictures(server.gui, about, model)
             self._plots = Plots(server.gui, about)
         server.on_client_connect(self._enter)
         server.on_client_disconnect(self._leave)
-
-    # The panel.
-
-    def _add_panel(self, gui: Any) -> None:
-        about = self._about
-        if "stop" in about.buttons:
-            self._add_button(gui, "stop")
-        self._words = gui.add_html(table({}))
-        cameras = *FIXED_CAMERAS, *about.scene.equipment.cameras
-        viewpoints = {START: None, **{each.name: each for each in cameras}}
-        group = gui.add_button_group(
-            "View from", tuple(viewpoints), hint="Move this page's viewpoint, not those of others"
-        )
-
-        async def look(event: Any) -> None:
-            look_from(event.client, viewpoints[event.target.value])
-
-        group.on_click(look)
-        if not about.commands:
-            return
-        with gui.add_folder("Episode"):
-            for name in ("reset", "record", "success", "discard", "next_seed", "pause", "step"):
-                if name in about.buttons:
-                    self._add_button(gui, name)
-            if set(SPEEDS) <= {*about.buttons}:
-                self._add_group(gui, "Speed", {f"{ratio:g}×": name for name, ratio in SPEEDS.items()})
-            if about.policies:
-                names = dict(zip(about.policies, POLICIES, strict=False))
-                self._add_group(gui, "Policy", {end_of(policy, names): name for policy, name in names.items()})
-        if about.handles:
-            with gui.add_folder("Lead the arms"):
-                for name in TAKES:
-                    if name in about.buttons:
-                        self._add_button(gui, name)
-                for arm, name in enumerate(ARMS if about.grippers else ()):
-                    group = gui.add_button_group(f"{name} gripper", ("open", "close"))
-                    group.on_click(self._gripper_of(arm))
-        with gui.add_folder("Who commands", expand_by_default=about.handles):
-            take = gui.add_button("Take the controls", hint="Command, if no other page does")
-            take.on_click(self._take)
-            leave = gui.add_button("Leave the controls", hint="Watch, so that another page may command")
-            leave.on_click(self._give_up)
-
-    def _add_button(self, gui: Any, name: str) -> None:
-        look = LOOKS[name]
-        button = gui.add_button(look.label, hint=look.hint, color=look.color)
-
-        async def press(event: Any) -> None:
-            if name == "stop":
-                self._stop()
-            self._press(event, name)
-
-        button.on_click(press)
-
-    def _add_group(self, gui: Any, label: str, names: Mapping[str, str]) -> None:
-        """Add buttons side by side: their names by their texts."""
-        group = gui.add_button_group(label, tuple(names))
-
-        async def press(event: Any) -> None:
-            self._press(event, names[event.target.value])
-
-        group.on_click(press)
-
-    def _press(self, event: Any, name: str) -> None:
-        if not self.commander.press(event.client_id, name):
-            refuse(event.client)
 
     def _stop(self) -> None:
         """Latch a stop of both arms of controllers, without waiting for the program."""
         if self._controllers is not None:
             self._controllers.cell.enter_fault(STOPPED)
 
-    def _gripper_of(self, arm: int) -> Callable[[Any], Any]:
-        async def grip(event: Any) -> None:
-            opening = 1.0 if event.target.value == "open" else 0.0
-            if not self.commander.grip(event.client_id, arm, opening, self._drawing.poser.tool_targets()[arm]):
-                refuse(event.client)
-
-        return grip
-
-    async def _take(self, event: Any) -> None:
-        if self.commander.take(event.client_id):
-            self._add_handles(event.client)
-        else:
-            refuse(event.client)
-
-    async def _give_up(self, event: Any) -> None:
-        if self.commander.give_up(event.client_id):
-            self._remove_handles(event.client_id)
-
-    # Pages that come and go.
-
     async def _enter(self, client: Any) -> None:
         if client.camera.aspect < NARROW:
             look_from(client, None)
         if self.commander.enter(client.client_id) and self._about.commands:
-            self._add_handles(client)
+            self._handles.add(client)
 
     async def _leave(self, client: Any) -> None:
         self.commander.leave(client.client_id)
-        self._handles.pop(client.client_id, None)
-
-    def _add_handles(self, client: Any) -> None:
-        """Add the drag handles to one page alone."""
-        if not self._about.handles or client.client_id in self._handles:
-            return
-        poses = self._drawing.poser.tool_targets()
-        handles = []
-        for arm, name in enumerate(ARMS):
-            handle = client.scene.add_transform_controls(
-                f"/handles/{name}",
-                scale=0.25,
-                line_width=4.0,
-                depth_test=False,
-                disable_sliders=False,
-                position=poses[arm, :3],
-                wxyz=poses[arm, 3:],
-            )
-            handle.on_update(self._drag_of(arm))
-            handles.append(handle)
-        self._handles[client.client_id] = handles
-
-    def _remove_handles(self, client: int) -> None:
-        for handle in self._handles.pop(client, ()):
-            handle.remove()
-
-    def _drag_of(self, arm: int) -> Callable[[Any], Any]:
-        async def drag(event: Any) -> None:
-            pose = np.concatenate([event.target.position, event.target.wxyz])
-            self.commander.drag(event.client_id, arm, pose, held=event.phase != "end")
-
-        return drag
-
-    # The loop.
+        self._handles.forget(client.client_id)
 
     def poll(self) -> None:
         """Show what is new."""
@@ -223,23 +102,13 @@ class Page:
                 self._row = rows[-1]
                 self._drawing.show(self._row)
             if self._polls % _HANDLES_EVERY == 0:
-                self._follow()
+                self._handles.follow()
             if self._polls % _WORDS_EVERY == 0:
                 self._say(now_s)
             if self._polls % _PLOTS_EVERY == 0:
                 self._plots.draw(now_s)
             if self._row is not None and memory.pages:
-                self._pictures.draw(self._drawing.poser.data, self._clock.now_s)
-
-    def _follow(self) -> None:
-        """Let the handles that nobody drags follow the commanded tools."""
-        poses = self._drawing.poser.tool_targets()
-        for handles in list(self._handles.values()):
-            for arm, handle in enumerate(handles):
-                pose = poses[arm]
-                if self.commander.dragged(arm) or np.abs(handle.position - pose[:3]).max() < MOVED_M:
-                    continue
-                handle.position, handle.wxyz = pose[:3], pose[3:]
+                self._pictures.draw(self._poser.data, self._clock.now_s)
 
     def _say(self, now_s: float) -> None:
         words = self._memory.words
@@ -251,9 +120,7 @@ class Page:
         words["pages"] = f"{count} open, {'one commands' if client is not None else 'none commands'}"
         if not self._about.commands:
             words["pages"] = f"{count} open; this program only watches, --command lets one page command"
-        content = table(words)
-        if self._words.content != content:
-            self._words.content = content
+        self._panel.say(words)
 
     def close(self) -> None:
         """Release the memories of the controllers."""

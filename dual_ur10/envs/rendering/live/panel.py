@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import html
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, Final
 
-from dual_ur10.envs.rendering.live.memory import BUTTONS, POLICIES, SPEEDS
+from dual_ur10.assets.visuals import FIXED_CAMERAS
+from dual_ur10.envs.rendering.live.about import About
+from dual_ur10.envs.rendering.live.commander import Commander
+from dual_ur10.envs.rendering.live.drag_handles import DragHandles
+from dual_ur10.envs.rendering.live.memory import BUTTONS, POLICIES, SPEEDS, TAKES
+from dual_ur10.envs.rendering.live.viewpoints import START, look_from
+from dual_ur10.kinematics.ur10 import ARMS
 
 _LONGEST: Final = 24  # text of a policy
 
@@ -44,14 +50,115 @@ LOOKS: Final[Mapping[str, Button]] = {
 """Looks of the buttons, by their names; those of `SPEEDS` and `POLICIES` stand in groups."""
 
 
+class Panel:
+    """Buttons and words of the page.
+
+    Args:
+        gui: viser's panel.
+        about: What the page shows.
+        commander: The one page that commands.
+        handles: Drag handles of the pages.
+        stop: Stops both arms of controllers at once.
+    """
+
+    def __init__(
+        self, gui: Any, about: About, commander: Commander, handles: DragHandles, stop: Callable[[], None]
+    ) -> None:
+        self._commander, self._handles, self._stop = commander, handles, stop
+        if "stop" in about.buttons:
+            self._add_button(gui, "stop")
+        self._words = gui.add_html(_table({}))
+        cameras = *FIXED_CAMERAS, *about.scene.equipment.cameras
+        viewpoints = {START: None, **{each.name: each for each in cameras}}
+        group = gui.add_button_group(
+            "View from", tuple(viewpoints), hint="Move this page's viewpoint, not those of others"
+        )
+
+        async def look(event: Any) -> None:
+            look_from(event.client, viewpoints[event.target.value])
+
+        group.on_click(look)
+        if not about.commands:
+            return
+        with gui.add_folder("Episode"):
+            for name in ("reset", "record", "success", "discard", "next_seed", "pause", "step"):
+                if name in about.buttons:
+                    self._add_button(gui, name)
+            if set(SPEEDS) <= {*about.buttons}:
+                self._add_group(gui, "Speed", {f"{ratio:g}×": name for name, ratio in SPEEDS.items()})
+            if about.policies:
+                names = dict(zip(about.policies, POLICIES, strict=False))
+                self._add_group(gui, "Policy", {end_of(policy, names): name for policy, name in names.items()})
+        if about.handles:
+            with gui.add_folder("Lead the arms"):
+                for name in TAKES:
+                    if name in about.buttons:
+                        self._add_button(gui, name)
+                for arm, name in enumerate(ARMS if about.grippers else ()):
+                    group = gui.add_button_group(f"{name} gripper", ("open", "close"))
+                    group.on_click(self._gripper_of(arm))
+        with gui.add_folder("Who commands", expand_by_default=about.handles):
+            take = gui.add_button("Take the controls", hint="Command, if no other page does")
+            take.on_click(self._take)
+            leave = gui.add_button("Leave the controls", hint="Watch, so that another page may command")
+            leave.on_click(self._give_up)
+
+    def _add_button(self, gui: Any, name: str) -> None:
+        look = LOOKS[name]
+        button = gui.add_button(look.label, hint=look.hint, color=look.color)
+
+        async def press(event: Any) -> None:
+            if name == "stop":
+                self._stop()
+            self._press(event, name)
+
+        button.on_click(press)
+
+    def _add_group(self, gui: Any, label: str, names: Mapping[str, str]) -> None:
+        """Add buttons side by side: their names by their texts."""
+        group = gui.add_button_group(label, tuple(names))
+
+        async def press(event: Any) -> None:
+            self._press(event, names[event.target.value])
+
+        group.on_click(press)
+
+    def _press(self, event: Any, name: str) -> None:
+        if not self._commander.press(event.client_id, name):
+            _refuse(event.client)
+
+    def _gripper_of(self, arm: int) -> Callable[[Any], Any]:
+        async def grip(event: Any) -> None:
+            opening = 1.0 if event.target.value == "open" else 0.0
+            if not self._commander.grip(event.client_id, arm, opening, self._handles.tool(arm)):
+                _refuse(event.client)
+
+        return grip
+
+    async def _take(self, event: Any) -> None:
+        if self._commander.take(event.client_id):
+            self._handles.add(event.client)
+        else:
+            _refuse(event.client)
+
+    async def _give_up(self, event: Any) -> None:
+        if self._commander.give_up(event.client_id):
+            self._handles.remove(event.client_id)
+
+    def say(self, words: Mapping[str, str]) -> None:
+        """Show the state in words, a row per line."""
+        content = _table(words)
+        if self._words.content != content:
+            self._words.content = content
+
+
 def end_of(name: str, names: Collection[str]) -> str:
     """Return the end of a long name, or the whole where another one ends likewise."""
     end = name[-_LONGEST:]
     return name if end == name or any(each.endswith(end) for each in names if each != name) else f"…{end}"
 
 
-def refuse(client: Any) -> None:
-    """Say in a page that another one commands."""
+def _refuse(client: Any) -> None:
     client.add_notification(
         title="This page watches",
         body="Another page commands. When it is closed, or leaves the controls, press: Take the controls.",
@@ -60,8 +167,7 @@ def refuse(client: Any) -> None:
     )
 
 
-def table(words: Mapping[str, str]) -> str:
-    """Return the state in words as HTML, a row per line."""
+def _table(words: Mapping[str, str]) -> str:
     rows = "".join(
         f'<tr><th style="text-align:left;vertical-align:top;padding:1px 10px 1px 0;white-space:nowrap;'
         f'font-weight:500">{html.escape(name)}</th><td style="overflow-wrap:anywhere">{_cell(text)}</td></tr>'

@@ -11,6 +11,9 @@ from dual_ur10.kinematics.rotations import quat_to_matrix
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.types import Array
 
+MOVED_M: Final = 1e-4
+"""Change of a pose below which it is not sent."""
+
 _DRAWN_GROUPS: Final = 3  # geoms of groups 0, 1 and 2 are drawn, as in MuJoCo's viewers
 _SIDES: Final = 16  # of a cylinder: fewer make a browser without a GPU faster
 _PLANE_M: Final = 6.0

@@ -21,7 +21,7 @@ from dual_ur10.errors import SettingsError
 from dual_ur10.kernel import RowLoop, Struct
 from dual_ur10.kinematics.forward import links
 from dual_ur10.kinematics.frames import ArmMount, Frames
-from dual_ur10.kinematics.poses import Poses
+from dual_ur10.kinematics.poses import Poses, yaw_quat
 from dual_ur10.kinematics.rotations import quat_to_matrix, rotate
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.types import Array, Mask
@@ -61,6 +61,18 @@ NEAR: Final = 0.03
 # Distances and chords at which the terms of a nearness have fallen to their halves.
 _SCALES_M: Final = np.array([0.03, 0.3])
 _SCALES: Final = np.array([0.2, 1.0])
+
+
+def lying(where: Array, height_m: float) -> Poses:
+    """Return poses of props that lie on the table, (n, 3) and (n, 4).
+
+    Args:
+        where: (n, 3) x and y (m) in the cell frame, and yaw (rad).
+        height_m: Height of the props.
+    """
+    position = np.array(where, dtype=np.float64)
+    position[:, 2] = height_m / 2
+    return Poses(position, yaw_quat(where[:, 2]))
 
 
 def _between_m(tool: Tool) -> list[float]:

@@ -7,8 +7,6 @@ from typing import Any, ClassVar, Generic, NamedTuple
 
 import numpy as np
 
-from dual_ur10.assets.settings import home_q_rad
-from dual_ur10.assets.tool import strokes_m
 from dual_ur10.envs.tasks.geometry import Grasped, Grasps, required
 from dual_ur10.envs.tasks.observation_layout import (
     ARM_FIELDS,
@@ -93,8 +91,7 @@ class GraspingTask(StagedTask[SettingsT, Grasped, NowT], Generic[SettingsT, NowT
             objects: Poses of props, as in `Start`.
         """
         self.begin_rows(rows)
-        home = np.tile(home_q_rad((self.cell.left, self.cell.right)), (len(rows), 1, 1))
-        return Start(home, np.tile(strokes_m(self.cell.equipment.tools), (len(rows), 1)), objects)
+        return self.at_home(rows)._replace(objects=objects)
 
     def measure(self, state: CellState) -> Grasped:
         """Measure both grasps, and the observed props."""

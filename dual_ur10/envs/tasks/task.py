@@ -151,6 +151,12 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
         """Return the scene that the task needs in the cell."""
         return SceneRequirements()
 
+    def at_home(self, rows: Rows) -> Start:
+        """Return the starts of `rows` with both arms at home, open grippers, and props where their MJCF has them."""
+        home = np.tile(home_q_rad((self.cell.left, self.cell.right)), (len(rows), 1, 1))
+        equipment = self.cell.equipment
+        return Start(home, np.tile(strokes_m(equipment.tools), (len(rows), 1)) if equipment.grippers else None)
+
     @abstractmethod
     def start(self, rows: Rows, rngs: Sequence[np.random.Generator]) -> Start:
         """Sample new episodes for `rows`, one generator each, and return their starts, (len(rows), ...) each."""

@@ -4,7 +4,7 @@ import pytest
 from dual_ur10 import errors
 from dual_ur10.envs.core.core import Core
 from dual_ur10.envs.tasks.handover.goals import WIDTH_M
-from dual_ur10.envs.tasks.handover.settings import GRIPS, HandoverSettings, laid_quat, lying, presented_quat
+from dual_ur10.envs.tasks.handover.settings import GRIPS, HandoverSettings, block_pose, laid_quat, presented_quat
 from dual_ur10.envs.tasks.handover.task import Handover, facts_of
 from dual_ur10.kinematics import flange_pose_quat
 from dual_ur10.kinematics.frames import ArmMount
@@ -390,7 +390,7 @@ def test_rows_are_bit_equal_to_single_cells():
 
 
 def test_lying_blocks_are_on_their_side():
-    block = lying(np.array([[0.01, 0.02, 0.3], [0.01, 0.02, 0.3]]), np.array([0, 1]))
+    block = block_pose(np.array([[0.01, 0.02, 0.3], [0.01, 0.02, 0.3]]), np.array([0, 1]))
     assert np.allclose(block.position_m, [[0.01, 0.52, 0.02], [0.01, -0.48, 0.02]])
 
 

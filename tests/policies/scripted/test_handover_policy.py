@@ -7,7 +7,7 @@ from dual_ur10 import errors
 from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85
 from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
 from dual_ur10.envs.core.core import Core
-from dual_ur10.envs.tasks.handover.settings import GRIPS, lying
+from dual_ur10.envs.tasks.handover.settings import GRIPS, block_pose
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.poses import Poses, compose
 from dual_ur10.policies.policy import Policy
@@ -117,7 +117,7 @@ def test_the_grippers_meet_in_one_configuration_for_any_yaw(giver):
     ways = HandoverPaths(mounts, np.full(12, 1.0), 0.04)
     postures = []
     for yaw in (-1.0, 0.0, 1.0):
-        block = lying(np.array([[0.0, 0.0, yaw]]), np.array([giver]))
+        block = block_pose(np.array([[0.0, 0.0, yaw]]), np.array([giver]))
         block = Poses(block.position_m[0], block.quat[0])
         pick = ways.pick(HOME_Q_RAD, giver, block)
         tool = compose(block, Poses(GRIPS[giver].position_m[giver], GRIPS[giver].quat[giver]))

@@ -10,19 +10,18 @@ import numpy as np
 
 from dual_ur10.assets.prop import Prop, check_props
 from dual_ur10.assets.props import BAR, BAR_WIDTH_M, BLOCK, BLOCK_SIZE_M
+from dual_ur10.envs.tasks.geometry import lying
 from dual_ur10.envs.tasks.task import check_numbers
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.ids import load_object
-from dual_ur10.types import Array, constant
+from dual_ur10.types import Array
 
 OBJECTS: Final = {BLOCK.name: BLOCK, BAR.name: BAR}
 """Objects by name."""
 
-PLACES_M: Final = {
-    BLOCK.name: constant([-0.1, 0.5, BLOCK_SIZE_M[2] / 2]),
-    BAR.name: constant([0.15, 0.0, BAR_WIDTH_M / 2]),
-}
-"""Nominal positions of these objects on the table, in the cell frame: the block lies along x, the bar along y."""
+_HEIGHT_M: Final = {BLOCK.name: BLOCK_SIZE_M[2], BAR.name: BAR_WIDTH_M}
+_PLACES_M: Final = {BLOCK.name: (-0.1, 0.5, 0.0), BAR.name: (0.15, 0.0, 0.0)}
+"""Nominal x, y (m) and yaw (rad) on the table, in the cell frame: the block lies along x, the bar along y."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,15 +57,11 @@ class FreeSettings:
         Args:
             samples: (k, objects, 3) of shifts along x and y, and of the rotation about the vertical.
         """
-        found = {}
+        reach, found = np.array([self.object_range_m] * 2 + [self.object_turn_rad]), {}
         for k, prop in enumerate(self.props):
             if OBJECTS.get(prop.name) is prop:
-                pose = np.zeros((len(samples), 7))
-                pose[:, :3] = PLACES_M[prop.name]
-                pose[:, :2] += self.object_range_m * samples[:, k, :2]
-                half = 0.5 * self.object_turn_rad * samples[:, k, 2]
-                pose[:, 3], pose[:, 6] = np.cos(half), np.sin(half)
-                found[prop.name] = pose
+                pose = lying(_PLACES_M[prop.name] + reach * samples[:, k], _HEIGHT_M[prop.name])
+                found[prop.name] = np.concatenate(pose, axis=1)
         return found
 
 

@@ -11,8 +11,7 @@ import numpy as np
 from dual_ur10.assets.gains import COMPLIANT
 from dual_ur10.assets.prop import Prop
 from dual_ur10.assets.props import BLOCK
-from dual_ur10.assets.settings import Equipment, home_q_rad
-from dual_ur10.assets.tool import strokes_m
+from dual_ur10.assets.settings import Equipment
 from dual_ur10.envs.tasks.free.settings import FreeSettings
 from dual_ur10.envs.tasks.geometry import PICKING, required
 from dual_ur10.envs.tasks.observation_layout import (
@@ -189,11 +188,7 @@ class Free(Task[FreeSettings, Poses]):
         """Sample the poses of block and bar. The arms are above the table, with open grippers."""
         count = len(self.settings.props)
         samples = np.array([rng.uniform(-1.0, 1.0, (count, 3)) for rng in rngs]).reshape(len(rows), count, 3)
-        return Start(
-            np.broadcast_to(home_q_rad((self.cell.left, self.cell.right)), (len(rows), 2, 6)).copy(),
-            np.tile(strokes_m(self.cell.equipment.tools), (len(rows), 1)),
-            objects=self.settings.places(samples),
-        )
+        return self.at_home(rows)._replace(objects=self.settings.places(samples))
 
     def measure(self, state: CellState) -> Poses:
         """Return the poses of the flanges in the cell frame."""

@@ -13,7 +13,7 @@ import numpy as np
 from dual_ur10.assets.props import BLOCK_GRIP_M, BLOCK_GRIP_QUAT, BLOCK_SIZE_M
 from dual_ur10.assets.settings import SceneSettings, home_q_rad
 from dual_ur10.assets.tool import levers_m
-from dual_ur10.envs.tasks.geometry import APPROACH_M, flanges_of
+from dual_ur10.envs.tasks.geometry import APPROACH_M, flanges_of, lying
 from dual_ur10.envs.tasks.task import check_numbers
 from dual_ur10.errors import UnknownNameError, WorkspaceError
 from dual_ur10.kinematics import try_nearest
@@ -96,17 +96,16 @@ GRIPS: Final = tuple(_grips(giver) for giver in (0, 1))
 """Poses of both tools in the frame of the block that they grip, (2, 3) and (2, 4), by the index of the giver."""
 
 
-def lying(where: Array, side: Array) -> Poses:
-    """Return poses of blocks that lie on the table, (n, 3) and (n, 4).
+def block_pose(where: Array, side: Array) -> Poses:
+    """Return poses of blocks that lie on a side of the table, (n, 3) and (n, 4).
 
     Args:
         where: (n, 3) x and y (m) from the nominal position of a side, and yaw (rad).
         side: (n,) index of the arm on that side.
     """
-    position = np.empty((len(where), 3))
-    position[:, 0], position[:, 2] = where[:, 0], BLOCK_SIZE_M[2] / 2
-    position[:, 1] = where[:, 1] + SIDE_M * (1 - 2 * side)
-    return Poses(position, yaw_quat(where[:, 2]))
+    pose = lying(where, BLOCK_SIZE_M[2])
+    pose.position_m[:, 1] += SIDE_M * (1 - 2 * side)
+    return pose
 
 
 def presented_quat(giver: int) -> Array:
@@ -133,7 +132,7 @@ def check_reach(settings: HandoverSettings, scene: SceneSettings) -> None:
             (giver, "the block", "object_range_m or object_turn_rad", _corners(settings, giver, "object")),
             (receiver, "the target", "target_range_m or target_turn_rad", _corners(settings, receiver, "target")),
         ):
-            blocks = lying(where, np.full(len(where), arm))
+            blocks = block_pose(where, np.full(len(where), arm))
             if place == "the target":
                 blocks = Poses(blocks.position_m, laid_quat(where[:, 2]))
             for k in _unreached(scene, giver, arm, blocks):

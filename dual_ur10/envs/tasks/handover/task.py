@@ -9,12 +9,12 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from dual_ur10.assets.props import BLOCK, BLOCK_SIZE_M, TARGET
-from dual_ur10.assets.settings import Equipment, home_q_rad
+from dual_ur10.assets.settings import Equipment
 from dual_ur10.assets.tool import strokes_m
 from dual_ur10.envs.tasks.geometry import PICKING, Grasped, Number, length, numbers, ratio, required
 from dual_ur10.envs.tasks.goal_fields import GOAL_FIELDS, goal_values, gripper_values
 from dual_ur10.envs.tasks.handover.goals import LIFTED_M, MEETING_RANGE_M, HandoverGoals, Situation
-from dual_ur10.envs.tasks.handover.settings import HandoverSettings, check_reach, lying
+from dual_ur10.envs.tasks.handover.settings import HandoverSettings, block_pose, check_reach
 from dual_ur10.envs.tasks.observation_layout import (
     ARM_FIELDS,
     OTHER_FLANGE_FIELDS,
@@ -369,15 +369,13 @@ class Handover(StagedTask[HandoverSettings, HandoverMeasured, Facts]):
         giver = np.where(sampled[:, 6] < 0.0, givers[0], givers[-1])
         where = sampled[:, :3] * np.array([settings.object_range_m] * 2 + [settings.object_turn_rad])
         wanted = sampled[:, 3:6] * np.array([settings.target_range_m] * 2 + [settings.target_turn_rad])
-        block, target = lying(where, giver), lying(wanted, 1 - giver)
+        block, target = block_pose(where, giver), block_pose(wanted, 1 - giver)
         self.begin_rows(rows, giver)
         self._goals.begin(rows, giver)
         self._role[rows, giver], self._role[rows, 1 - giver] = 1.0, -1.0
         self._goals.to_block.others[rows, _BEFORE, :3] = block.position_m
         self._slip_m[rows] = 0.0
-        return Start(
-            np.broadcast_to(home_q_rad((self.cell.left, self.cell.right)), (len(rows), 2, 6)).copy(),
-            np.tile(strokes_m(self.cell.equipment.tools), (len(rows), 1)),
+        return self.at_home(rows)._replace(
             objects={"block": np.concatenate(block, axis=1), "target": np.concatenate(target, axis=1)},
             sampled={"object": where, "target": wanted, "giver": giver},
         )

@@ -12,14 +12,14 @@ import numpy as np
 from dual_ur10.assets.props import BAR_WIDTH_M, GRIP_DISTANCE_M, GRIP_QUAT
 from dual_ur10.assets.settings import SceneSettings, home_q_rad
 from dual_ur10.assets.tool import Tool, levers_m
-from dual_ur10.envs.tasks.geometry import flanges_of
+from dual_ur10.envs.tasks.geometry import flanges_of, lying
 from dual_ur10.envs.tasks.sync_carry.path import MOVES, CarryPath
 from dual_ur10.envs.tasks.task import check_numbers
 from dual_ur10.errors import SettingsError, UnknownNameError, WorkspaceError
 from dual_ur10.kinematics import try_nearest
 from dual_ur10.kinematics.forward import elbow_flange_and_tcp
 from dual_ur10.kinematics.frames import Frames
-from dual_ur10.kinematics.poses import Poses, compose, relative_to, yaw_quat
+from dual_ur10.kinematics.poses import Poses, compose, relative_to
 from dual_ur10.kinematics.rotations import quat_to_matrix
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.control.limits import MotionLimits
@@ -120,10 +120,7 @@ def path_rate(settings: CarrySettings, scene: SceneSettings, limits: MotionLimit
 
 def bar_pose(where: Array) -> Poses:
     """Return poses of bars that lie on the table, (n, 3) and (n, 4), for x, y (m) and yaw (rad), (n, 3)."""
-    n = len(where)
-    position = np.zeros((n, 3))
-    position[:, :2], position[:, 2] = where[:, :2], BAR_WIDTH_M / 2
-    return Poses(position, yaw_quat(where[:, 2]))
+    return lying(where, BAR_WIDTH_M)
 
 
 def ideal_relative(grip: Poses, tools: tuple[Tool, Tool]) -> Poses:

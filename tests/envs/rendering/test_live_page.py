@@ -23,6 +23,7 @@ from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.rendering.live.about import About
 from dual_ur10.envs.rendering.live.commander import GRIP_S, Commander
 from dual_ur10.envs.rendering.live.controllers import Controllers
+from dual_ur10.envs.rendering.live.drag_handles import DragHandles
 from dual_ur10.envs.rendering.live.guard import LOOPBACK, bind, make_server
 from dual_ur10.envs.rendering.live.history import History, Sending
 from dual_ur10.envs.rendering.live.live_page import LivePage
@@ -258,6 +259,40 @@ def test_a_press_of_a_gripper_does_not_end_a_drag(commander, memory):
     assert found.clutch[0]
     assert np.isnan(found.gripper).all()
     np.testing.assert_array_equal(found.poses[0], POSE)
+
+
+class _Handle:
+    """Drag handle of a page, which notes what it is told."""
+
+    def __init__(self, position, wxyz):
+        self.position, self.wxyz = position, wxyz
+        self.drag = None
+
+    def on_update(self, function):
+        self.drag = function
+
+
+def test_a_handle_returns_to_its_tool_once_nobody_drags_it(commander, memory):
+    found, tools = [], np.tile(POSE, (2, 1))
+
+    def add(name, *, position, wxyz, **looks):
+        found.append(_Handle(position.copy(), wxyz.copy()))
+        return found[-1]
+
+    handles = DragHandles(
+        types.SimpleNamespace(handles=True), commander, types.SimpleNamespace(tool_targets=lambda: tools)
+    )
+    client = types.SimpleNamespace(client_id=1, scene=types.SimpleNamespace(add_transform_controls=add))
+    commander.enter(1)
+    handles.add(client)
+    left = found[0]
+    for turned in (POSE + [0.1, 0, 0, 0, 0, 0, 0], POSE + [0, 0, 0, -0.5, 0.5, 0.5, 0.5]):  # moved, or only turned
+        left.position, left.wxyz = turned[:3], turned[3:]
+        for phase, at in (("update", turned), ("end", POSE)):
+            asyncio.run(left.drag(types.SimpleNamespace(target=left, client_id=1, phase=phase)))
+            assert _now(commander, memory).clutch.tolist() == [phase == "update", False]
+            handles.follow()
+            np.testing.assert_array_equal(np.concatenate([left.position, left.wxyz]), at)
 
 
 # The scene.

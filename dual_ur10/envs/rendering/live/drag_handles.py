@@ -66,10 +66,9 @@ class DragHandles:
         poses = self._poser.tool_targets()
         for handles in list(self._handles.values()):
             for arm, handle in enumerate(handles):
-                pose = poses[arm]
-                if self._commander.dragged(arm) or np.abs(handle.position - pose[:3]).max() < MOVED_M:
-                    continue
-                handle.position, handle.wxyz = pose[:3], pose[3:]
+                pose, shown = poses[arm], np.concatenate([handle.position, handle.wxyz])
+                if not self._commander.dragged(arm) and np.abs(pose - shown).max() > MOVED_M:
+                    handle.position, handle.wxyz = pose[:3], pose[3:]
 
     def _drag_of(self, arm: int) -> Callable[[Any], Any]:
         async def drag(event: Any) -> None:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
+import shutil
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -83,7 +86,7 @@ def to_minari(
     finally:
         core.close()
     try:
-        with warnings.catch_warnings():
+        with _whole_or_none(minari, dataset_id), warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # about optional metadata
             dataset = minari.create_dataset_from_buffers(
                 dataset_id,
@@ -99,11 +102,24 @@ def to_minari(
                 requirements=[f"dual-ur10=={header.versions.get('dual_ur10', '')}"],
                 data_format="hdf5",
             )
-        dataset.storage.update_metadata({"env_spec": _spec(header).to_json(), "dual_ur10_versions": _line(header)})
-        dataset.storage.update_episode_metadata(_metadata(run, episode) for run, episode in members)
-        return minari.load_dataset(dataset_id)
+            dataset.storage.update_metadata({"env_spec": _spec(header).to_json(), "dual_ur10_versions": _line(header)})
+            dataset.storage.update_episode_metadata(_metadata(run, episode) for run, episode in members)
+            return minari.load_dataset(dataset_id)
     except (ValueError, OSError, AssertionError) as error:
         raise RecordingError(f"Minari does not take the dataset {dataset_id!r}: {error}") from error
+
+
+@contextlib.contextmanager
+def _whole_or_none(minari: Any, dataset_id: str) -> Iterator[None]:
+    """Remove what was written of a new dataset that is not completed: it would take the name of the next try."""
+    folder = Path(minari.storage.datasets_root_dir.get_dataset_path(dataset_id))
+    is_new = not folder.exists()
+    try:
+        yield
+    except BaseException:
+        if is_new:
+            shutil.rmtree(folder, ignore_errors=True)
+        raise
 
 
 def _core(header: Header) -> Core:

@@ -1,12 +1,13 @@
 """Demonstrations: what a person keeps becomes a dataset, whatever happens afterwards."""
 
 import contextlib
+import resource
 
 import gymnasium as gym
 import numpy as np
 import pytest
 
-from dual_ur10.errors import DatasetError, DeviceAbsentError, DeviceUnpluggedError, TrainingError
+from dual_ur10.errors import DatasetError, DeviceAbsentError, DeviceUnpluggedError, RecordingError, TrainingError
 from dual_ur10.policies.learned.checkpoint import read_manifest
 from dual_ur10.policies.learned.signature import view_of
 from dual_ur10.policies.operators.device import Reading
@@ -97,6 +98,26 @@ def test_what_was_kept_survives_a_crash_and_is_in_the_dataset_of_the_next_try(tm
     dataset = make_dataset(tmp_path, NAME)  # the first record is still open, as a kill leaves it
     assert sorted(len(each.rewards) for each in dataset) == [5, 7]
     crashed.close()
+
+
+@contextlib.contextmanager
+def disk_with_room_for(count):
+    """Let no file grow beyond a number of bytes."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (count, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_a_full_disk_is_named_and_loses_nothing_that_was_kept(tmp_path):
+    """The disk is full in the second episode, and still full when the dataset is made."""
+    with disk_with_room_for(200_000), pytest.raises(RecordingError, match=r"cannot write .* any more"):
+        demonstrated(tmp_path, Person((0, "record"), (6, "success"), (0, "record"), (1000, "success")), 2)
+    with disk_with_room_for(1000), pytest.raises(DatasetError, match="What was kept is in"):
+        make_dataset(tmp_path, NAME)
+    assert [len(each.rewards) for each in make_dataset(tmp_path, NAME)] == [6]
 
 
 def test_demonstrations_on_controllers_become_a_dataset(tmp_path):

@@ -23,7 +23,7 @@ from dual_ur10.policies.operators.operator import Operator
 from dual_ur10.policies.operators.takeover import Takeover
 from dual_ur10.policies.policy import Policy
 from dual_ur10.policies.training.dataset import read_dataset
-from dual_ur10.policies.training.demonstrations import Demonstration, demonstrate, kept_of
+from dual_ur10.policies.training.demonstrations import Demonstration, demonstrate, kept_of, runs_in
 from dual_ur10.policies.training.folder import initial_policy
 from dual_ur10.policies.training.imitation import Imitator
 from dual_ur10.policies.training.settings import Training, first_seed_of
@@ -97,7 +97,7 @@ class CorrectedImitator(Imitator):
         self._wrong = round(_WRONG_S / (rate.tick_s * rate.period_ticks))
         self._begun = 0  # episodes so far, also discarded ones
         self._progress.steps = 0
-        for folder in sorted(self._root.iterdir()) if self._root.is_dir() else []:
+        for folder in runs_in(self._root):
             self._take(folder)
 
     def run(self) -> Path:
@@ -137,7 +137,7 @@ class CorrectedImitator(Imitator):
         self._progress.doing = "led by the policy and a person"
         self._on_progress(self._progress)
         about = {"policy": f"a training, takeover {asked.operator}"}
-        before = set(self._root.iterdir()) if self._root.is_dir() else set()
+        before = runs_in(self._root)
         keywords = {**AS_ON_CONTROLLERS, **asked.keywords, "record": str(self._root), "record_about": about}
         env = gym.make(asked.env_id, **keywords)
         try:
@@ -151,7 +151,7 @@ class CorrectedImitator(Imitator):
             )
         finally:
             env.close()
-        for folder in sorted(set(self._root.iterdir()) - before):
+        for folder in sorted({*runs_in(self._root)} - {*before}):
             self._take(folder)
 
     def _take(self, folder: Path) -> None:

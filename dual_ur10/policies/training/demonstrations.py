@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -18,6 +18,7 @@ from dual_ur10.policies.operators.operator import Operator
 from dual_ur10.policies.operators.takeover import Takeover
 from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.recording.run import Episode, Run
+from dual_ur10.sim2real.recording.run_folder import RUN_FILE
 
 KEPT: Final = "kept"
 """Kind of the event of a record that says which episode was kept, and whether it succeeded."""
@@ -106,6 +107,15 @@ def folder_of(root: Path, dataset_id: str) -> Path:
     return root / re.sub(r"[^A-Za-z0-9_.-]", "-", dataset_id)
 
 
+def runs_in(root: Path) -> list[Path]:
+    """Return the folders of the runs in a folder, in their order.
+
+    A run without a byte is left out: the program was killed, or the disk was full, before anything was recorded.
+    """
+    files = sorted(root.glob(f"*/{RUN_FILE}"))
+    return [each.parent for each in files if each.stat().st_size]
+
+
 def kept_of(run: Run) -> Run:
     """Return a run with those of its episodes that a person kept."""
     states = [json.loads(event.text) for event in run.events if event.kind == KEPT]
@@ -131,18 +141,10 @@ def make_dataset(folder: Path, dataset_id: str, **about: str | None) -> Any:
         DatasetError: Minari refuses it, or the runs are of different environments.
         RecordingError: A run cannot be read.
     """
-    runs = list(_kept_runs(sorted(folder.iterdir()) if folder.is_dir() else []))
+    runs = [run for each in runs_in(folder) if (run := kept_of(read_run(each, allow_partial=True))).episodes]
     if not runs:
         return None
     try:
         return to_minari(runs, dataset_id, **about)
     except DualUR10Error as error:
         raise DatasetError(f"{error}. What was kept is in {folder}") from error
-
-
-def _kept_runs(folders: Iterable[Path]) -> Iterable[Run]:
-    for each in folders:
-        if each.is_dir():
-            run = kept_of(read_run(each, allow_partial=True))
-            if run.episodes:
-                yield run

@@ -112,7 +112,9 @@ def disk_with_room_for(count):
 
 
 def test_a_full_disk_is_named_and_loses_nothing_that_was_kept(tmp_path):
-    """The disk is full in the second episode, and still full when the dataset is made."""
+    """The disk is full at the begin, later in the second episode, and still when the dataset is made."""
+    with disk_with_room_for(0), pytest.raises(RecordingError, match=r"cannot write .* any more"):
+        demonstrated(tmp_path, Person((0, "record")), 1)
     with disk_with_room_for(200_000), pytest.raises(RecordingError, match=r"cannot write .* any more"):
         demonstrated(tmp_path, Person((0, "record"), (6, "success"), (0, "record"), (1000, "success")), 2)
     with disk_with_room_for(1000), pytest.raises(DatasetError, match="What was kept is in"):
@@ -207,6 +209,7 @@ def test_an_interruption_of_corrections_loses_nothing_that_was_kept(tmp_path, sc
     script = ((0, "record"), TAKEN, (1, "success"), (0, "record"), TAKEN, (0, "interrupt"))
     with pytest.raises(KeyboardInterrupt):
         train(to_correct(dataset=scripted, changes={"corrected": 2}), tmp_path / "out", meet=met(*script))
+    (tmp_path / "out" / "episodes" / "killed-at-once").mkdir()
     resume(tmp_path / "out", meet=met((0, "record"), TAKEN, (2, "success"), (0, "record"), TAKEN, (2, "success")))
     # 4 + 2 and 4 + 1 steps before the interruption are no less than the 11 that were asked for.
     assert [len(each) for each in fits] == [50, 52]

@@ -354,15 +354,15 @@ def _demonstrate(
     finally:
         close(made, actor)
         found = make_dataset(folder, name, **about)
-    if found is None:
-        errors.print("nothing was kept", highlight=False)
-    else:
-        console.print(
-            f"{escape(name)}: {found.total_episodes} episodes, {found.total_steps} steps; "
-            f"minari.load_dataset({escape(repr(name))}); records in {escape(str(folder))}",
-            highlight=False,
-            soft_wrap=True,
-        )
+        if found is None:
+            errors.print("nothing was kept", highlight=False)
+        else:
+            console.print(
+                f"{escape(name)}: {found.total_episodes} episodes, {found.total_steps} steps; "
+                f"minari.load_dataset({escape(repr(name))}); records in {escape(str(folder))}",
+                highlight=False,
+                soft_wrap=True,
+            )
     if interrupted:
         raise typer.Exit(INTERRUPTED)
 

@@ -196,6 +196,7 @@ def test_a_bad_argument_is_one_line_and_exit_code_2(arguments: tuple[str, ...], 
 
 PERSON = """
 import numpy as np
+from dual_ur10.errors import DeviceUnpluggedError
 from dual_ur10.policies.operators.device import Reading
 
 OPEN = []
@@ -212,6 +213,8 @@ class Hand:
         pressed = frozenset(filter(None, [self.buttons.pop(0)]))
         if "interrupt" in pressed:
             raise KeyboardInterrupt
+        if "unplug" in pressed:
+            raise DeviceUnpluggedError("a hand was unplugged")
         return Reading(twist=np.full((2, 6), self.speed), clutch=np.array([True, True]), buttons=pressed)
 
     def close(self):
@@ -270,6 +273,28 @@ def test_what_a_person_keeps_is_a_dataset_also_after_ctrl_c(tmp_path: Any, monke
     assert minari.load_dataset("dual-ur10/sinetracking/operator-v0").total_steps == 2
     code, text = run("collect", "SineTracking", "--operator", hand, "--record", str(tmp_path / "runs"))
     assert (code, "exists, and nothing is overwritten" in " ".join(text.split())) == (2, True)
+    assert __import__("my_hand").OPEN == []
+    sys.modules.pop("my_hand")
+
+
+@pytest.mark.parametrize(
+    ("presses", "code", "words"),
+    [
+        ("record+++discard+record++interrupt", INTERRUPTED, ["thrown away after 0.1 s (discard)", "nothing was kept"]),
+        ("record+++success+unplug", 2, ["lost-v0: 1 episodes, 2 steps", "error: a hand was unplugged"]),
+    ],
+)
+def test_what_was_kept_is_told_however_it_ends(
+    presses: str, code: int, words: list[str], tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("minari")
+    pytest.importorskip("h5py")
+    (tmp_path / "my_hand.py").write_text(PERSON)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "datasets"))
+    named = ("--dataset", "lost-v0", "--record", str(tmp_path / "runs"))
+    found, text = run("collect", "SineTracking", "--operator", f"my_hand:Hand:buttons={presses}", *named)
+    assert (found, [each for each in words if each not in " ".join(text.split())]) == (code, [])
     assert __import__("my_hand").OPEN == []
     sys.modules.pop("my_hand")
 

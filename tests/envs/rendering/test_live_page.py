@@ -286,9 +286,10 @@ def test_a_handle_returns_to_its_tool_once_nobody_drags_it(commander, memory):
     commander.enter(1)
     handles.add(client)
     left = found[0]
-    for turned in (POSE + [0.1, 0, 0, 0, 0, 0, 0], POSE + [0, 0, 0, -0.5, 0.5, 0.5, 0.5]):  # moved, or only turned
-        left.position, left.wxyz = turned[:3], turned[3:]
-        for phase, at in (("update", turned), ("end", POSE)):
+    moved, turned = np.array([0.2, *POSE[1:]]), np.array([*POSE[:3], 0.5, 0.5, 0.5, 0.5])
+    for dragged in (moved, turned):
+        left.position, left.wxyz = dragged[:3], dragged[3:]
+        for phase, at in (("update", dragged), ("end", POSE)):
             asyncio.run(left.drag(types.SimpleNamespace(target=left, client_id=1, phase=phase)))
             assert _now(commander, memory).clutch.tolist() == [phase == "update", False]
             handles.follow()

@@ -1,4 +1,4 @@
-"""Build hook: compile the control kernel, `dual_ur10/kernel`, into the package.
+"""Build hooks: compile the control kernel, `dual_ur10/kernel`, into the package, and make links of the README absolute.
 
 Run as a script, it compiles the kernel of this checkout in place. The compiler is `$CXX`, else `c++`, `g++` or
 `clang++`; where there is none, pip brings Zig's as a build requirement. The kernel needs no Python headers and no C++
@@ -11,6 +11,7 @@ import hashlib
 import importlib.util
 import os
 import platform
+import re
 import shlex
 import shutil
 import subprocess
@@ -23,10 +24,17 @@ ZIG = "ziglang>=0.13"
 KERNEL = Path("dual_ur10", "kernel")
 LIBRARY = "_kernel.so"
 
+PICTURES = {".gif", ".jpg", ".png", ".svg", ".webp"}
+"""Endings of files that a page shows, not links to."""
+
+_FENCED = re.compile(r"(^```.*?^```$)", re.MULTILINE | re.DOTALL)
+_RELATIVE = re.compile(r'(\]\(|\b(?:src|href)=")(?!\w+:|[#/])([^)"\s]+)')
+
 try:
     from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+    from hatchling.metadata.plugin.interface import MetadataHookInterface
 except ModuleNotFoundError:  # as a script
-    BuildHookInterface = object
+    BuildHookInterface = MetadataHookInterface = object
 
 
 def compiler() -> list[str] | None:
@@ -88,6 +96,35 @@ class CustomBuildHook(BuildHookInterface):  # type: ignore[misc]
             build(Path(self.root))
         build_data.update(pure_python=False, tag=f"py3-none-{system}")
         build_data["artifacts"].append(f"{KERNEL.as_posix()}/{LIBRARY}")
+
+
+def with_absolute_links(text: str, repository: str, version: str) -> str:
+    """Return a page in Markdown whose relative links and pictures are those of a repository at a version's tag."""
+
+    def absolute(link: re.Match[str]) -> str:
+        kind = "raw" if Path(link[2].partition("#")[0]).suffix in PICTURES else "blob"
+        return f"{link[1]}{repository}/{kind}/v{version}/{link[2]}"
+
+    parts = _FENCED.split(text)
+    parts[::2] = (_RELATIVE.sub(absolute, part) for part in parts[::2])  # not in code
+    return "".join(parts)
+
+
+class CustomMetadataHook(MetadataHookInterface):  # type: ignore[misc]
+    """Gives the package its description and addresses, both from the setting `repository`."""
+
+    def update(self, metadata: dict[str, Any]) -> None:
+        """Add the README, and the addresses if there is a public repository. Then the README's links are absolute."""
+        text, repository = (Path(self.root) / "README.md").read_text("utf-8"), self.config["repository"].rstrip("/")
+        metadata["urls"] = {}
+        if repository:
+            text = with_absolute_links(text, repository, metadata["version"])
+            metadata["urls"] = {
+                "Repository": repository,
+                "Issues": f"{repository}/issues",
+                "Changelog": f"{repository}/blob/v{metadata['version']}/CHANGELOG.md",
+            }
+        metadata["readme"] = {"content-type": "text/markdown", "text": text}
 
 
 if __name__ == "__main__":

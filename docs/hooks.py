@@ -7,6 +7,7 @@ import importlib.util
 import inspect
 import json
 import re
+import tomllib
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -243,12 +244,15 @@ def pages(folder: Path) -> dict[str, Callable[[], str]]:
 
 
 def on_config(config: Any) -> Any:
-    """Add the tasks and the decision records to the navigation."""
+    """Add the tasks and the decision records to the navigation, and the address of the repository, if it has one."""
     from dual_ur10.ids import TASKS
 
     config["nav"].insert(1, {"Tasks": [f"tasks/{slug(env_id)}.md" for env_id in TASKS]})
     records = sorted(path.name for path in (Path(config["docs_dir"]) / "decisions").glob("*.md"))
     config["nav"].append({"Decisions": ["decisions/index.md", *(f"decisions/{name}" for name in records)]})
+    project = tomllib.loads((Path(config["docs_dir"]).parent / "pyproject.toml").read_text())
+    if repository := project["tool"]["hatch"]["metadata"]["hooks"]["custom"]["repository"]:
+        config["repo_url"], config["repo_name"] = repository, "/".join(repository.rstrip("/").split("/")[-2:])
     return config
 
 

@@ -171,6 +171,14 @@ def test_each_task_has_a_page_also_one_that_is_registered_later(monkeypatch):
     assert "## Baselines" not in page  # nothing was measured
 
 
+@pytest.mark.parametrize("address", ["", "https://example.org/team/arms"])
+def test_the_site_has_the_address_of_the_repository_once_there_is_one(address, tmp_path):
+    pytest.importorskip("mkdocs")
+    (tmp_path / "pyproject.toml").write_text(f"[tool.hatch.metadata.hooks.custom]\nrepository = '{address}'")
+    config = hooks().on_config({"nav": [], "docs_dir": str(tmp_path / "docs")})
+    assert (config.get("repo_url", ""), config.get("repo_name", "")) == (address, address[20:])
+
+
 @pytest.mark.parametrize("name", ["handover", "free"])
 def test_the_code_on_the_page_of_a_task_runs(name, monkeypatch, workplace):
     pytest.importorskip("mkdocs")

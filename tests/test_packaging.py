@@ -1,14 +1,17 @@
 import ast
 import functools
+import importlib.util
 import pathlib
 import re
 import subprocess
 import sys
 import sysconfig
 import tarfile
+import tomllib
 import zipfile
 
 import pytest
+import yaml
 
 from dual_ur10.errors import MissingExtraError
 
@@ -71,6 +74,85 @@ def test_the_sdist_gives_the_same_wheel(wheel, tmp_path):
     assert again.namelist() == zipfile.ZipFile(wheel).namelist()
     library = "dual_ur10/kernel/_kernel.so"
     assert again.read(library) == zipfile.ZipFile(wheel).read(library)
+
+
+def _metadata(repository):
+    """Return the metadata of the package, and the setting it has now."""
+    core = pytest.importorskip("hatchling.metadata.core")
+    manager = pytest.importorskip("hatchling.plugin.manager")
+    config = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    hook = config["tool"]["hatch"]["metadata"]["hooks"]["custom"]
+    present, hook["repository"] = hook["repository"], hook["repository"] if repository is None else repository
+    return core.ProjectMetadata(str(ROOT), manager.PluginManager(), config).core, present
+
+
+LINK = re.compile(r'(?:\]\(|src=")([^)"]+)')
+
+
+def test_links_of_the_readme_are_absolute_where_the_repository_has_an_address():
+    import dual_ur10
+
+    at, tag = "https://example.org/team/arms", f"v{dual_ur10.__version__}"
+    found, _ = _metadata(f"{at}/")
+    text = (ROOT / "README.md").read_text()
+    before, after = LINK.findall(text), LINK.findall(found.readme)
+    assert len([each for each in before if not each.startswith("http")]) > 30
+    for old, new in zip(before, after, strict=True):
+        if old.startswith("http"):
+            assert new == old
+            continue
+        kind, there = new.removeprefix(f"{at}/").split(f"/{tag}/")
+        assert there == old
+        assert (ROOT / there.partition("#")[0]).exists()
+        assert kind == ("raw" if re.search(r"\.(webp|png)$", old) else "blob")
+    assert any(new.endswith("install.md#pytorch-without-cuda") for new in after)
+    assert LINK.sub("", found.readme) == LINK.sub("", text)
+    assert found.urls == {
+        "Repository": at,
+        "Issues": f"{at}/issues",
+        "Changelog": f"{at}/blob/{tag}/CHANGELOG.md",
+    }
+    assert found.readme_content_type == "text/markdown"
+
+
+def test_links_in_code_and_within_the_page_stay():
+    hook = _loaded_hook()
+    text = '[a](#b) [c](d.md#e) <img src="f.png">\n```py\nx = [1](2)\n```\n[g](https://h)\n[![i](j.svg)](k/)\n'
+    assert hook.with_absolute_links(text, "https://x", "1") == (
+        '[a](#b) [c](https://x/blob/v1/d.md#e) <img src="https://x/raw/v1/f.png">\n```py\nx = [1](2)\n```\n'
+        "[g](https://h)\n[![i](https://x/raw/v1/j.svg)](https://x/blob/v1/k/)\n"
+    )
+
+
+def _loaded_hook():
+    specification = importlib.util.spec_from_file_location("hatch_build", ROOT / "hatch_build.py")
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module
+
+
+def test_without_an_address_nothing_is_rewritten():
+    found, _ = _metadata("")
+    assert found.readme == (ROOT / "README.md").read_text()
+    assert found.urls == {}
+    assert found.dynamic == []
+
+
+def test_all_addresses_and_authors_are_the_same():
+    """The site's comes from the setting, too; the citation has it once there is one, as it cannot read settings."""
+    found, present = _metadata(None)
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert citation.get("repository-code", "") == present
+    assert "repo_url" not in (ROOT / "mkdocs.yml").read_text()
+    (author,) = citation["authors"]
+    assert author["name"] == found.authors_data["name"][0]
+    assert citation["license"] == found.license_expression
+    assert citation["version"] == found.config["version"]
+    assert {"cff-version", "message", "title", "abstract", "type", "keywords"} <= citation.keys()
+    assert ("date-released" in citation) == ("[" + citation["version"] + "] - unreleased" not in CHANGELOG)
+
+
+CHANGELOG = (ROOT / "CHANGELOG.md").read_text()
 
 
 def test_actions_of_workflows_are_pinned_by_hash():
@@ -142,12 +224,6 @@ def test_the_types_of_the_wheel_reach_its_users(wheel, tmp_path):
         ("7", 'Incompatible types in assignment (expression has type "ArmMount", variable has type "int")')
     ], found.stdout
     assert "Found 1 error in 1 file" in found.stdout
-
-
-def test_readme_and_module_say_the_same_version():
-    import dual_ur10
-
-    assert f"version: {dual_ur10.__version__}" in (ROOT / "CITATION.cff").read_text()
 
 
 FLOORS = (

@@ -1,6 +1,8 @@
 import ast
+import fnmatch
 import functools
 import importlib.util
+import json
 import pathlib
 import re
 import subprocess
@@ -153,6 +155,41 @@ def test_all_addresses_and_authors_are_the_same():
 
 
 CHANGELOG = (ROOT / "CHANGELOG.md").read_text()
+
+
+def test_the_container_installs_what_the_pages_say():
+    """Nothing here can build it: that its files and extras exist, and that its packages are those of the pages."""
+    text = (ROOT / "Dockerfile").read_text().replace("\\\n", " ")
+    lines = [line.split(" ", 1) for line in text.splitlines() if line and not line.startswith("#")]
+    given = {name: [rest for each, rest in lines if each == name] for name, _ in lines}
+    sources = [each for rest in given["COPY"] for each in rest.split()[:-1] if not each.startswith("--")]
+    assert sources
+    assert [each for each in sources if not (ROOT / each).exists()] == []
+    ignored = (ROOT / ".dockerignore").read_text().splitlines()
+    needed = ["pyproject.toml", "hatch_build.py", "README.md", "LICENSE", "constraints.txt", "dual_ur10", "ur_emulator"]
+    assert [each for each in needed if any(fnmatch.fnmatch(each, pattern) for pattern in ignored)] == []
+    assert {".git", ".venv*", "**/_kernel.*"} <= set(ignored)
+    (install,) = (rest for rest in given["RUN"] if rest.startswith("pip "))
+    assert "-c constraints.txt" in install
+    extras = set(re.search(r'-e "\.\[(.*)\]"', install)[1].split(","))
+    known = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    assert extras <= known.keys()
+    assert set(re.search(r'-e "\.\[(.*)\]"', (ROOT / "README.md").read_text())[1].split(",")) <= extras
+    apt = set(" ".join(rest for rest in given["RUN"] if rest.startswith("apt-get")).split())
+    page = (ROOT / "docs" / "how-to" / "install.md").read_text()
+    assert set(re.search(r"Install Mesa's EGL: `apt-get install (.*?)`", page)[1].split()) <= apt
+    assert {"make", "g++", "python3", "python3-venv"} <= apt
+
+
+def test_the_dev_container_is_the_same_container():
+    dev = json.loads((ROOT / ".devcontainer" / "devcontainer.json").read_text())
+    file = ROOT / ".devcontainer" / dev["build"]["dockerfile"]
+    assert (file.resolve(), (ROOT / ".devcontainer" / dev["build"]["context"]).resolve()) == (ROOT / "Dockerfile", ROOT)
+    text = file.read_text()
+    assert f"USER {dev['remoteUser']}\nWORKDIR {dev['workspaceFolder']}\n" in text
+    assert f"target={dev['workspaceFolder']}," in dev["workspaceMount"]
+    assert [each for each in dev["build"]["args"] if f"ARG {each}\n" not in text] == []
+    assert (ROOT / dev["postCreateCommand"].removeprefix("python ")).exists()
 
 
 def test_actions_of_workflows_are_pinned_by_hash():

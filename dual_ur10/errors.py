@@ -33,13 +33,22 @@ class SettingsError(DualUR10Error, ValueError):
 
 
 _MOST_COMPARED = 100  # characters; the time of a comparison grows with their square
+_LEAST_PART = 4  # characters by which a longer name is found
 
 
 def nearest_name(found: str, allowed: Sequence[str]) -> str:
-    """Return the name that a misspelled one most resembles, with or without its namespace; "" if none does."""
-    forms = {form: name for name in allowed for form in (name, name.rsplit("/", 1)[-1])}
-    near = difflib.get_close_matches(found, forms, n=1, cutoff=0.7) if len(found) <= _MOST_COMPARED else []
-    return forms[near[0]] if near else ""
+    """Return the name that a misspelled or shortened one most resembles, with or without its namespace; "" if none.
+
+    Upper and lower case are the same. A shortened name is part of one name alone.
+    """
+    if len(found) > _MOST_COMPARED:
+        return ""
+    forms = {form.casefold(): name for name in allowed for form in (name, name.rsplit("/", 1)[-1])}
+    near = difflib.get_close_matches(found.casefold(), forms, n=1, cutoff=0.7)
+    if near:
+        return forms[near[0]]
+    longer = {name for form, name in forms.items() if len(found) >= _LEAST_PART and found.casefold() in form}
+    return longer.pop() if len(longer) == 1 else ""
 
 
 class UnknownNameError(DualUR10Error, ValueError):
@@ -130,19 +139,34 @@ class ResetRefusedError(SettingsError):
 
 
 class MissingExtraError(DualUR10Error, ImportError):
-    """Raised when an optional dependency is not installed; the message names the extra to install.
+    """Raised when optional dependencies are not installed; the message names all extras to install.
 
-    Where the package has no wheels for this Python, it names those for which it has.
+    Where a package has no wheels for this Python, it names those for which it has.
+
+    Args:
+        package: Package that is missing.
+        extra: Extra that brings it.
+        purpose: Noun for what needs it.
+        others: Errors of other packages, which are part of this one.
+
+    Attributes:
+        needs: Texts of what needs which package.
+        extras: Names of the extras.
     """
 
-    def __init__(self, package: str, extra: str, purpose: str) -> None:
+    def __init__(self, package: str, extra: str, purpose: str, others: Sequence[MissingExtraError] = ()) -> None:
         python = sys.version_info[:2]
         where = (
             f", which has wheels for Python 3.11 and 3.12 only, found {python[0]}.{python[1]}. There"
             if package == "ur_rtde" and python > _NEWEST_OF_UR_RTDE
             else ""
         )
-        super().__init__(f'{purpose} needs {package}{where}: pip install "dual-ur10[{extra}]"')
+        self.needs: tuple[str, ...] = (
+            *(need for each in others for need in each.needs),
+            f"{purpose} needs {package}{where}",
+        )
+        self.extras: tuple[str, ...] = tuple(dict.fromkeys((*(name for each in others for name in each.extras), extra)))
+        super().__init__(f'{", and ".join(self.needs)}: pip install "dual-ur10[{",".join(self.extras)}]"')
 
 
 class RenderError(DualUR10Error, RuntimeError):
@@ -304,3 +328,7 @@ class DatasetError(DualUR10Error, ValueError):
 
 class KernelError(DualUR10Error, RuntimeError):
     """Raised when the compiled control kernel is missing or not that of its sources, or is given other data."""
+
+
+def __dir__() -> list[str]:
+    return sorted(name for name, each in globals().items() if isinstance(each, type) and issubclass(each, Exception))

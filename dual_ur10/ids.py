@@ -15,8 +15,11 @@ __version__ = "0.1.0"
 ENTRY_POINT_GROUP: Final = "dual_ur10.tasks"
 """Group of entry points by which an installed package brings tasks: each names a module that registers them."""
 
-LEARNED_NAMES: Final = ("learned", "learned-two-agents")
-"""Names of learned policies that a task may bring: one network for both arms, and one network for each arm."""
+LEARNED_NAMES: Final = {
+    "learned": "Learned policy with one network for both arms.",
+    "learned-two-agents": "Learned policy with one network for each arm.",
+}
+"""Names of learned policies that a task may bring, each with what it is."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -80,7 +80,7 @@ def register(
         raise SettingsError(f'the id of a task is {env_id!r}: it must be "Namespace/Name-vN", such as "MyLab/Reach-v0"')
     for name in learned or {}:
         if name not in LEARNED_NAMES:
-            raise UnknownNameError(f"learned policy of {env_id}", str(name), LEARNED_NAMES)
+            raise UnknownNameError(f"learned policy of {env_id}", str(name), list(LEARNED_NAMES))
 
     def add(path: str) -> None:
         module = path.split(":")[0]

@@ -122,3 +122,7 @@ __all__ = [
     "wrench_values",
     "yaw_quat",
 ]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -48,6 +48,11 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
+def __dir__() -> list[str]:
+    # pytest finds hooks and fixtures by it.
+    return sorted({*__all__, *({"emulated_cell", "pytest_configure", "virtual_cell"} & globals().keys())})
+
+
 class CellForTests(EmulatedCell):
     """Emulated cell with a cell file. Leaving the `with` block ends it and closes its environment.
 

@@ -33,6 +33,11 @@ if TYPE_CHECKING:
 __all__ = ["EmulatedController", "options_of"]
 
 
+def __dir__() -> list[str]:
+    # pytest finds hooks and fixtures by it.
+    return sorted({*__all__, *({"pytest_configure", "ur_controller"} & globals().keys())})
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Register the marker."""
     config.addinivalue_line("markers", "ur_controller(**options): options of the controller: robot, plant, seed, ...")

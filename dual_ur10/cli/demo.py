@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from dual_ur10.cli import options
 
@@ -28,8 +27,7 @@ def demo(
     from dual_ur10.cli.demo_report.run import run_demo
     from dual_ur10.sim2real.analysis.page import Table
 
-    columns = (TextColumn("{task.description:40}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=options.console, transient=True) as progress:
+    with options.progress_of(options.console) as progress:
         bar = progress.add_task("starting", total=None)
 
         def show(text: str, done: float, total: float) -> None:

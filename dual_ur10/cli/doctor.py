@@ -19,11 +19,13 @@ from dual_ur10.cli.options import (
     Perturbed,
     PowerOn,
     Right,
+    check_extras,
     console,
     family_of,
     keywords_of,
     power_on,
     print_whole,
+    progress_of,
 )
 from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics.ur10 import ARMS, Family
@@ -115,13 +117,16 @@ def repeatability(
     from dual_ur10.envs.core.follower import home_of, make_follower
     from dual_ur10.sim2real.trajectory.repeatability import UR10_M, returns, spread_of
 
+    check_extras(cell=cell)
     keywords = keywords_of(None, perturbed, cell)
     if power:
         power_on(cell)
     chosen = keywords.get("cell", "mujoco")
     with make_follower(chosen) as executor:
         executor.start(home_of(chosen))
-        found = list(returns(executor, paths, np.random.default_rng(seed), settle))
+        with progress_of(console) as progress:  # the questions to the operator were asked at the start
+            measured = returns(executor, paths, np.random.default_rng(seed), settle)
+            found = list(progress.track(measured, paths, description="returning home"))
     only_ur10 = set(executor.gate.limits.robots) == {"ur10"}  # whose data sheet is known here
     spread = spread_of(np.stack([executor.flanges_m(q_rad) for q_rad in found]))
     table = Table(header_style="bold")

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from dual_ur10.cli.options import (
     RUNS,
@@ -24,6 +23,8 @@ from dual_ur10.cli.options import (
     Randomization,
     Seed,
     Settings,
+    asks,
+    check_extras,
     check_leader,
     check_min_success,
     conclude,
@@ -91,6 +92,7 @@ def evaluate(
         raise SettingsError("evaluate shows no page: use rollout, view or live with --operator page")
     envs = envs if cell is None and "record" not in keywords and operator is None else 1
     check_min_success(min_success)
+    check_extras(cell=cell, devices=[operator])
     targets = [path for path in (json, csv) if path is not None]
     if len({check_target(path) for path in targets}) < len(targets):
         raise SettingsError(f"--json and --csv both name {json}")
@@ -98,10 +100,10 @@ def evaluate(
         power_on(cell)
     arguments = {"seed": seed, "num_envs": envs, "env_kwargs": keywords}
     if operator is None:
-        found = _run(env_id, policy, episodes, cell is not None, **arguments)
+        found = _run(env_id, policy, episodes, cell, **arguments)
     else:
         with contextlib.closing(make_operator(operator, env_id, keywords)) as person:
-            found = _run(env_id, person, episodes, cell is not None, **arguments)
+            found = _run(env_id, person, episodes, cell, **arguments)
     console.print(found.as_table())
     if json is not None:
         found.to_json(json)
@@ -112,14 +114,14 @@ def evaluate(
     conclude(found.successes, episodes, found.late_actions, min_success)
 
 
-def _run(env_id: str, policy: Policy | str, episodes: int, moves: bool, **arguments: Any) -> Evaluation:
+def _run(env_id: str, policy: Policy | str, episodes: int, cell: Path | None, **arguments: Any) -> Evaluation:
     """Return the evaluation, with its progress shown.
 
     Args:
         env_id: Id of the environment.
         policy: Name of the policy, or an operator.
         episodes: Number of episodes.
-        moves: It is on two controllers: whoever names a cell here asks for its motions to each start.
+        cell: Value of --cell: whoever names one asks for the motions to each start.
         **arguments: Further arguments of `dual_ur10.policies.evaluation.evaluate.evaluate`.
 
     Raises:
@@ -128,15 +130,9 @@ def _run(env_id: str, policy: Policy | str, episodes: int, moves: bool, **argume
     from dual_ur10.policies.evaluation.evaluate import evaluate as run
 
     found: Evaluation | None = None
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
+    moves = cell is not None
     try:
-        with progress_of(console, moves, *columns) as progress:
+        with progress_of(console, asks(cell)) as progress:
             bar = progress.add_task("running", total=episodes)
 
             def show(so_far: Evaluation) -> None:
@@ -144,7 +140,7 @@ def _run(env_id: str, policy: Policy | str, episodes: int, moves: bool, **argume
                 found = so_far
                 text = f"success {100 * so_far.success_rate:.1f} %"
                 progress.update(bar, description=text, completed=len(so_far.episodes))
-                if moves:  # no bar is shown
+                if asks(cell):  # no bar is shown
                     done = f"{len(so_far.episodes)} of {episodes} episodes, {text}{late_text(so_far.late_actions)}"
                     console.print(done, highlight=False)
 

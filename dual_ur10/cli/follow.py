@@ -17,6 +17,7 @@ from dual_ur10.cli.options import (
     CellName,
     Perturbed,
     PowerOn,
+    check_extras,
     console,
     errors,
     interrupts_noted,
@@ -109,6 +110,7 @@ def follow(
     """
     from dual_ur10.envs.core.follower import home_of, make_follower
 
+    check_extras(cell=cell)
     chosen = keywords_of(None, perturbed, on_virtual(cell, None)).get("cell", "mujoco")
     if file is None and to is None:
         raise SettingsError("there is nothing to follow: name a FILE, a configuration with --to, or both")
@@ -258,7 +260,7 @@ def _reach(executor: TrajectoryExecutor, goal: TrajectoryGoal, table: _Table | N
     trajectory, moved = goal.trajectory, " and ".join(goal.trajectory.arms)
     console.print(f"{moved}: {len(trajectory)} points, {trajectory.duration_s:.2f} s", highlight=False)
     handle = executor.execute(goal)
-    shown, interrupted = _Shown(), False
+    shown, interrupted = _Shown(trajectory.duration_s), False
 
     def seen(feedback: Feedback) -> None:
         shown(feedback)
@@ -277,19 +279,27 @@ def _reach(executor: TrajectoryExecutor, goal: TrajectoryGoal, table: _Table | N
         raise typer.Exit(INTERRUPTED if interrupted else NOT_REACHED)
 
 
-class _Shown:
-    """Prints a feedback per second."""
+def _time(path_s: float, duration_s: float) -> str:
+    return f"{path_s:8.2f} of {duration_s:.2f} s"
 
-    def __init__(self) -> None:
-        self._next_s = 0.0
+
+class _Shown:
+    """Prints a feedback per second.
+
+    Args:
+        duration_s: Time of the whole path.
+    """
+
+    def __init__(self, duration_s: float) -> None:
+        self._next_s, self._duration_s = 0.0, duration_s
 
     def __call__(self, feedback: Feedback) -> None:
         if feedback.path_s < self._next_s:
             return
         self._next_s = feedback.path_s + _SHOWN_S
         console.print(
-            f"{feedback.path_s:8.2f} s   joints {1e3 * np.abs(feedback.error_rad).max():.3f} mrad   flanges "
-            f"{1e3 * feedback.flange_error_m.max():.3f} mm",
+            f"{_time(feedback.path_s, self._duration_s)}   joints {1e3 * np.abs(feedback.error_rad).max():.3f} mrad   "
+            f"flanges {1e3 * feedback.flange_error_m.max():.3f} mm",
             highlight=False,
         )
 
@@ -360,7 +370,7 @@ def _stream(trajectory: JointTrajectory, cell: CellFile, rate_hz: float, system:
         nonlocal next_s
         if progress.path_s >= next_s:
             next_s = progress.path_s + _SHOWN_S
-            console.print(f"{progress.path_s:8.2f} s", highlight=False)
+            console.print(_time(progress.path_s, points.duration_s), highlight=False)
 
     box = ProgramBox(cell, "points", system=system)
     with PointStream(cell, profile_for(rate_hz, cell.config().servoj), observer=box, system=system) as stream:
@@ -396,7 +406,7 @@ def follow_serial(
         nonlocal next_s
         if time_s >= next_s:
             next_s = time_s + _SHOWN_S
-            console.print(f"{time_s:8.2f} s   commanded, not measured", highlight=False)
+            console.print(f"{_time(time_s, trajectory.duration_s)}   commanded, not measured", highlight=False)
 
     with interrupts_noted() as canceled:
         result = execute(trajectory, port, at_start=at_start, canceled=canceled.is_set, feedback=seen)

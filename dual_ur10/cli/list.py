@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
+import inspect
+
 import gymnasium as gym
 from rich.markup import escape
 from rich.table import Table
 
-from dual_ur10.cli.options import console
-from dual_ur10.ids import FAILED_ENTRY_POINTS, TASKS, discover
+from dual_ur10.cli.options import console, print_whole
+from dual_ur10.ids import FAILED_ENTRY_POINTS, LEARNED_NAMES, TASKS, discover, load_object
+from dual_ur10.kinematics.robots import ROBOTS
 from dual_ur10.policies.baselines import BASELINES
 from dual_ur10.policies.registry import names_for
 
 
 def list_environments() -> None:
-    """List the environments, their rates and sizes, and the policies for them: also those of installed packages."""
+    """List environments (also of installed packages), policies, devices of operators and robots, with a line each."""
+    from dual_ur10.policies.operators.catalog import DEVICES
+    from dual_ur10.policies.scripted.base import ScriptedPolicy
+
     discover()
-    table = Table(box=None, header_style="bold", padding=(0, 2, 0, 0))
-    for header, justify in (("environment", "left"), ("rate", "right"), ("action", "right"), ("observation", "right")):
-        # An id must stay whole, to be copied.
-        table.add_column(header, justify=justify, no_wrap=True, min_width=len(header))  # type: ignore[arg-type]  # rich wants literals
-    table.add_column("policies")
-    table.columns[0].min_width = max(map(len, TASKS))
+    table = _table("environment", ("rate", "action", "observation"), "policies, and the task")
     failed = [f"the entry point {point} failed: {why}" for point, why in FAILED_ENTRY_POINTS.items()]
     for env_id in TASKS:
         try:
@@ -28,9 +29,38 @@ def list_environments() -> None:
                 core = env.unwrapped.core  # type: ignore[attr-defined]  # Gymnasium knows only Env
                 sizes = [" × ".join(map(str, space.shape or ())) for space in (env.action_space, env.observation_space)]
                 names = ", ".join((*names_for(env_id), *BASELINES))
-                table.add_row(f"[cyan]{env_id}[/]", f"{1 / core.timing.period_s:g} Hz", *sizes, names)
+                task = f"{names}\n[dim]{escape(_summary(type(core.task)))}[/]"
+                table.add_row(f"[cyan]{env_id}[/]", f"{1 / core.timing.period_s:g} Hz", *sizes, task)
         except Exception as error:  # tasks of others may raise anything
             failed.append(f"{env_id} cannot be made: {error}")
-    console.print(table)
+    print_whole(table)
     for text in failed:
         console.print(f"[yellow]{escape(text)}[/]")
+    policies = {"scripted": _summary(ScriptedPolicy), **LEARNED_NAMES}
+    policies |= {name: _summary(kind) for name, kind in BASELINES.items()}
+    devices = {name: _summary(load_object(path, "the device")) for name, path in DEVICES.items()}
+    robots = {
+        name: f"{robot.title}: {robot.family}, reach {robot.reach_m:g} m, payload {robot.payload_kg:g} kg"
+        for name, robot in ROBOTS.items()
+    }
+    for title, rows in (("policy", policies), ("device", devices), ("robot", robots)):
+        table = _table(title, (), "")
+        for name, text in rows.items():
+            table.add_row(f"[cyan]{name}[/]", f"[dim]{escape(text)}[/]")
+        console.print()
+        print_whole(table)
+
+
+def _table(first: str, numbers: tuple[str, ...], last: str) -> Table:
+    """Return a table whose first column stays whole, so that its names can be copied."""
+    table = Table(box=None, header_style="bold", padding=(0, 2, 0, 0))
+    table.add_column(first, no_wrap=True, min_width=max(map(len, TASKS)) if numbers else None)
+    for header in numbers:
+        table.add_column(header, justify="right", no_wrap=True, min_width=len(header))
+    table.add_column(last)
+    return table
+
+
+def _summary(documented: object) -> str:
+    """Return the first paragraph of what a class or function says of itself."""
+    return " ".join((inspect.getdoc(documented) or "").partition("\n\n")[0].split())

@@ -17,6 +17,7 @@ from dual_ur10.cli.options import (
     PowerOn,
     Seed,
     Settings,
+    check_extras,
     close,
     console,
     errors,
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from dual_ur10.policies.operators.operator import Operator
 
 PAGE = "page"
+PAGE_EXTRA = "live", "the live page"
 NOBODY = "none"
 
 Port = Annotated[int, typer.Option("--port", min=0, max=65535, help="Port of the loopback interface; 0: any free one.")]
@@ -93,6 +95,7 @@ def live(
     if watches and (policy is not None or power):
         raise SettingsError("--policy and --power-on command the arms of a cell: add --command, or leave them out")
     keywords = keywords_of(settings, perturbed, cell, arm)
+    check_extras(PAGE_EXTRA, cell=cell, devices=[operator], moves=not watches)
     setup = setup_for(env, policy, keywords)
     buttons = () if watches else buttons_of(setup, takes=policy is not None and operator != NOBODY)
     policies = () if policy is None or setup.config.controllers else policies_of(env, [policy])

@@ -3,26 +3,28 @@
 from __future__ import annotations
 
 import ast
+import importlib.util
 import json
 import signal
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 from rich.console import Console
 from rich.markup import escape
 from rich.measure import Measurement
-from rich.progress import Progress, ProgressColumn
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from dual_ur10 import policies
-from dual_ur10.errors import SettingsError
+from dual_ur10.errors import MissingExtraError, SettingsError, UnknownNameError, nearest_name
 from dual_ur10.ids import env_id_of
 from dual_ur10.kinematics.robots import robot_model
 from dual_ur10.policies.registry import check_name, keywords_for, wrong_types_named
+from dual_ur10.sim2real.config.cell_kinds import CELL_KINDS
 from dual_ur10.sim2real.processes.machine_load import too_busy
 
 if TYPE_CHECKING:
@@ -33,6 +35,9 @@ errors = Console(stderr=True)
 
 at_end = ExitStack()
 """Functions that are called at the end of a command."""
+
+VIRTUAL = "virtual"
+"""Value of --cell for two emulated controllers on a virtual clock."""
 
 RUNS = Path("runs")
 """Default folder of recorded runs."""
@@ -140,9 +145,14 @@ def on_virtual(cell: Path | None, task: str | None) -> Any:
 
     Raises:
         MissingExtraError: The extra `virtual` is not installed.
+        UnknownNameError: It is "virtual", misspelled.
     """
-    if str(cell) != "virtual":
-        return None if cell is None else str(cell)
+    if cell is None:
+        return None
+    if (name := str(cell)) != VIRTUAL:
+        if "/" not in name and not name.endswith(".toml") and nearest_name(name, [VIRTUAL]) and name not in CELL_KINDS:
+            raise UnknownNameError("cell", name, [VIRTUAL, "echo"], "the path of a cell file, such as lab.toml")
+        return name
     from dual_ur10.testing import VirtualCell
 
     made = VirtualCell(task=task)
@@ -202,9 +212,70 @@ def record_in(keywords: dict[str, Any], folder: Path, about: dict[str, Any]) -> 
     keywords.setdefault("record_about", about)
 
 
-def progress_of(console: Console, moves: bool, *columns: ProgressColumn) -> Progress:
-    """Return a progress bar, which is off where arms move: it would be drawn over questions to the operator."""
-    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal or moves)
+def asks(cell: object) -> bool:
+    """Return True if a cell, the value of --cell, may ask the operator at the terminal before it moves."""
+    return cell is not None and str(cell) != VIRTUAL
+
+
+def progress_of(console: Console, asked: bool = False, left: bool = True) -> Progress:
+    """Return a progress bar with the time left, on a terminal alone.
+
+    Args:
+        console: Where it is shown.
+        asked: Questions to the operator come meanwhile: it is off, as it would be drawn over them.
+        left: The time left is that at the present rate; False: its description has it.
+    """
+    columns = TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn()
+    remaining = (TimeRemainingColumn(),) if left else ()
+    return Progress(*columns, *remaining, console=console, transient=True, disable=not console.is_terminal or asked)
+
+
+PACKAGES: Final[Mapping[str, Mapping[str, str]]] = {
+    "calibration": {"OpenCV": "cv2"},
+    "data": {"Minari": "minari"},
+    "live": {"viser": "viser"},
+    "plot": {"matplotlib": "matplotlib", "imageio-ffmpeg": "imageio_ffmpeg"},
+    "real": {"ur_rtde": "rtde_control"},
+    "records": {"mcap": "mcap", "mcap-ros2-support": "mcap_ros2"},
+    "serial": {"pyserial": "serial"},
+    "teleop": {"PySDL2": "sdl2", "pyserial": "serial"},
+    "train": {"stable-baselines3": "stable_baselines3", "torch": "torch"},
+    "virtual": {"greenlet": "greenlet", "ur_rtde": "rtde_control"},
+}
+"""Modules by which packages are found, by extra and package."""
+
+
+def check_extras(
+    *needs: tuple[str, str], cell: object = None, devices: Sequence[str | None] = (), moves: bool = True
+) -> None:
+    """Ask for all extras that a command needs and that are not installed, at once and before it begins.
+
+    Args:
+        *needs: Extras with nouns for what needs them, such as ("live", "the live page").
+        cell: Value of --cell.
+        devices: Values of --operator and --takeover.
+        moves: The cell's arms may move.
+
+    Raises:
+        MissingExtraError: One is not installed.
+        SettingsError: An argument of a device has another form.
+    """
+    wanted = dict(needs)
+    for device in filter(None, devices):
+        from dual_ur10.policies.operators.catalog import extra_of
+
+        wanted |= dict(filter(None, [extra_of(device)]))
+    if str(cell) == VIRTUAL:
+        wanted["virtual"] = "a virtual cell"
+    elif moves and cell is not None and str(cell) != "echo":
+        wanted["real"] = "moving UR arms"
+    missing: list[MissingExtraError] = []
+    for extra, purpose in wanted.items():
+        packages = (name for name, module in PACKAGES[extra].items() if importlib.util.find_spec(module) is None)
+        if package := next(packages, None):
+            missing = [MissingExtraError(package, extra, purpose, missing)]
+    if missing:
+        raise missing[0]
 
 
 @contextmanager

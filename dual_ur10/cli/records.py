@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
 from rich.table import Table
 
 from dual_ur10.cli.options import (
@@ -20,6 +19,8 @@ from dual_ur10.cli.options import (
     PowerOn,
     Record,
     RunPath,
+    asks,
+    check_extras,
     console,
     errors,
     keywords_of,
@@ -50,6 +51,7 @@ def replay(
     A simulated run that is simulated again must be the same in every bit, else the exit code is 1. On arms, the
     targets that the gate releases are compared.
     """
+    check_extras(("records", "reading a record"), cell=cell)
     from dual_ur10.sim2real.analysis.replay import replay as play
     from dual_ur10.sim2real.analysis.replay import source_of
     from dual_ur10.sim2real.recording.reader import read_run
@@ -62,9 +64,7 @@ def replay(
     if power:
         power_on(cell)
     try:
-        with progress_of(
-            console, cell is not None, TextColumn("playing"), BarColumn(), MofNCompleteColumn()
-        ) as progress:
+        with progress_of(console, asks(cell)) as progress:
             bar = progress.add_task("playing")
             found = play(
                 recorded,
@@ -102,12 +102,12 @@ def compare(
     allow_partial: Partial = False,
 ) -> None:
     """Compare two recorded runs of a task, and write a report of their differences."""
+    check_extras(("records", "reading a record"), ("plot", "the report of a comparison"))
     from dual_ur10.sim2real.analysis.compare import compare as compared
-    from dual_ur10.sim2real.analysis.report import check_extra, write_report
+    from dual_ur10.sim2real.analysis.report import write_report
     from dual_ur10.sim2real.recording.reader import read_run
 
     check_target(out)
-    check_extra()
     found = compared(*(read_run(path, allow_partial=allow_partial) for path in (run_a, run_b)))
     write_report(out, found, (_name(run_a), _name(run_b)))
     table = Table(header_style="bold")

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -25,6 +24,8 @@ from dual_ur10.cli.options import (
     Seed,
     Settings,
     TakeoverName,
+    asks,
+    check_extras,
     check_min_success,
     close,
     conclude,
@@ -35,6 +36,7 @@ from dual_ur10.cli.options import (
     make,
     on_virtual,
     power_on,
+    progress_of,
     record_in,
 )
 from dual_ur10.ids import env_id_of
@@ -65,6 +67,7 @@ def rollout(
     from dual_ur10.policies.evaluation.rollout import rollout as run_episode
 
     check_min_success(min_success)
+    check_extras(cell=cell, devices=[operator, takeover])
     keywords = keywords_of(settings, perturbed, on_virtual(cell, env_id_of(env)), arm)
     if power:
         power_on(cell)
@@ -78,12 +81,17 @@ def rollout(
     returns, successes = [], 0
     late = 0
     try:
-        # The operator may be asked something at the terminal.
-        with contextlib.nullcontext() if cell else console.status("running") as shown:
+        with progress_of(console, asks(cell)) as progress:
+            horizon = made.unwrapped.task.horizon
+            bar = progress.add_task("running", total=horizon and episodes * horizon)
+
+            def step(_: Any) -> None:
+                progress.advance(bar)
+
             for episode in range(episodes):
-                if shown is not None:
-                    shown.update(f"episode {episode + 1} of {episodes}")
-                found = run_episode(made, actor, seed=seed + episode)
+                done = horizon and episode * horizon
+                progress.update(bar, description=f"episode {episode + 1} of {episodes}", completed=done)
+                found = run_episode(made, actor, seed=seed + episode, on_step=step)
                 returns.append(float(found.reward.sum()))
                 successes += found.success
                 if episode == 0:

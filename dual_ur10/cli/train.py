@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from dual_ur10.cli.options import (
     RUNS,
@@ -24,12 +23,15 @@ from dual_ur10.cli.options import (
     Record,
     Settings,
     TakeoverName,
+    asks,
+    check_extras,
     close,
     console,
     errors,
     keywords_of,
     make,
     make_operator,
+    progress_of,
     randomize,
     record_in,
     shown,
@@ -39,6 +41,8 @@ from dual_ur10.ids import env_id_of
 from dual_ur10.sim2real.processes.interrupts import INTERRUPTED
 
 if TYPE_CHECKING:
+    from rich.progress import Progress
+
     from dual_ur10.policies.training import progress as reporting
     from dual_ur10.policies.training.corrections import Person
     from dual_ur10.policies.training.demonstrations import Demonstration
@@ -101,6 +105,9 @@ def train(
     threads: Annotated[int | None, typer.Option("--threads", min=1, help="Threads that step the cells.")] = None,
 ) -> None:
     """Train a policy and save it as a checkpoint: by imitation (dagger, bc) or by reinforcement learning (ppo, sac)."""
+    check_extras(
+        ("train", "training"), *([("data", "a dataset")] if dataset else []), devices=[operator] if operator else []
+    )
     from dual_ur10.policies.training import train as trainings
 
     if resume is not None:
@@ -127,9 +134,8 @@ def train(
         )
         where = out or Path("trainings") / f"{asked.env_id.split('/')[1]}-{algo}-{asked.agents}-{seed}"
         run = partial(trainings.train, training=asked, out=where)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     try:
-        with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        with progress_of(console, left=False) as bar:
             made = run(threads=threads, on_progress=_Shown(bar, where), meet=_meet)
     except KeyboardInterrupt:
         console.print(
@@ -284,14 +290,14 @@ def collect(
 
     env_id, keywords = env_id_of(env), keywords_of(settings, False, cell, arm)
     randomize(keywords, randomization)
+    check_extras(("data", "a dataset"), cell=cell, devices=[operator, takeover])
     source = "operator" if operator or takeover else Path(policy).name
     name = dataset or f"dual-ur10/{env_id.split('/')[1].rsplit('-v', 1)[0].lower()}/{source}-v0"
     if operator or takeover:
         about = {"author": author, "author_email": email, "code_permalink": code}
         _demonstrate(env, policy, operator, takeover, keywords, name, record, episodes, seed, about)
         return
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+    with progress_of(console, asks(cell)) as progress:
         bar = progress.add_task("running", total=episodes)
         well = 0
 

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 
 from dual_ur10.cli.options import (
     EnvName,
@@ -68,11 +67,10 @@ def video(
     randomize(keywords, randomization)
     made, actor = make(env, policy, keywords, seed)
     names = [each.strip() for each in cameras.split(",") if each.strip()]
-    columns = TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn()
     try:
         known = scene_cameras(made.unwrapped.core.config.scene)
         check_view(names, known, width=width, height=height, zoom=zoom, speed=speed)
-        with progress_of(console, False, *columns) as progress:
+        with progress_of(console) as progress:
             bar = progress.add_task("running", total=None)
             shown = take(made, actor, seed=seed, seconds=math.inf if seconds is None else seconds)
             progress.update(bar, description="drawing", total=1.0)

@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from dual_ur10.cli.live import NOBODY, Cameras, Port, buttons_of, lead, policies_of, setup_for
-from dual_ur10.cli.options import EnvName, Perturbed, Seed, Settings, console, keywords_of
+from dual_ur10.cli.live import NOBODY, PAGE_EXTRA, Cameras, Port, buttons_of, lead, policies_of, setup_for
+from dual_ur10.cli.options import EnvName, Perturbed, Seed, Settings, check_extras, console, keywords_of
 from dual_ur10.envs.rendering.live.guard import PORT
 from dual_ur10.errors import SettingsError
 
@@ -36,6 +36,7 @@ def view(
     """Watch policies in a browser on this machine: pause, step, slow down, switch between them. Simulation only."""
     from dual_ur10.policies.operators.page import open_page
 
+    check_extras(PAGE_EXTRA)
     keywords = keywords_of(settings, perturbed)
     policies = policies_of(env, policy or ["scripted"])
     setup = setup_for(env, policies[0], keywords)

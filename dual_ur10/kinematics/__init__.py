@@ -30,3 +30,7 @@ __all__ = [
     "to_base_link",
     "try_nearest",
 ]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -10,9 +10,6 @@ import numpy as np
 
 from dual_ur10.types import Rows
 
-BASELINES: Final = ("random", "zero")
-"""Names of the baselines, in the command line and in `evaluate`."""
-
 
 class RandomPolicy:
     """Uniform random actions that depend on an episode's seed alone.
@@ -63,3 +60,7 @@ class ZeroPolicy:
     def __call__(self, observation: Any) -> Any:
         """Return zeros."""
         return self._action
+
+
+BASELINES: Final = {"random": RandomPolicy, "zero": ZeroPolicy}
+"""Baselines by name, in the command line and in `evaluate`."""

@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
+import importlib.util
+import io
 import logging
 import os
 import re
 import signal
 import subprocess
 import sys
+import tomllib
 import urllib.request
 from pathlib import Path
 from typing import Any
 
 import pytest
 import typer
+from rich.console import Console
 
 from dual_ur10 import ENV_IDS, __version__
 from dual_ur10.cli import options as cli_options
-from dual_ur10.errors import SettingsError
-from dual_ur10.policies.registry import shipped_names
+from dual_ur10.envs.core.setup import load_task
+from dual_ur10.errors import MissingExtraError, SettingsError
+from dual_ur10.kinematics.robots import ROBOTS
+from dual_ur10.policies.baselines import BASELINES
+from dual_ur10.policies.operators.catalog import DEVICES
+from dual_ur10.policies.registry import NAMES, shipped_names
 from dual_ur10.sim2real.processes.interrupts import INTERRUPTED
 from dual_ur10.sim2real.recording import run_folder
 from tests.cli.command import run
@@ -34,16 +42,29 @@ def _somewhere_else(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-def test_list_names_every_environment_with_its_sizes() -> None:
+def test_list_names_every_environment_with_its_sizes_and_its_task() -> None:
     code, text = run("list")
     assert code == 0
+    lines = text.splitlines()
     for env_id in ENV_IDS:
-        row = next(line for line in text.splitlines() if env_id in line)
+        row, below = next(lines[k : k + 2] for k, line in enumerate(lines) if env_id in line)
         sizes = {"SineTracking": ["12", "94"], "SyncCarry": ["14", "170"], "Handover": ["14", "158"]}
         for task, (action, observation) in sizes.items():
             if task in env_id:
                 learned = [f"{name}," for name in shipped_names(row.split()[0])]
                 assert row.split()[1:] == ["25", "Hz", action, observation, "scripted,", *learned, "random,", "zero"]
+        assert below.strip() == (load_task(env_id).__doc__ or "").partition("\n")[0]
+
+
+def test_list_names_policies_devices_and_robots_with_a_line_of_each() -> None:
+    lines = [line for line in run("list")[1].splitlines() if line]
+    for title, names in (("policy", [*NAMES, *BASELINES]), ("device", [*DEVICES]), ("robot", [*ROBOTS])):
+        begin = next(k for k, line in enumerate(lines) if line.split() == [title]) + 1
+        rows = [line.split(maxsplit=1) for line in lines[begin : begin + len(names)]]
+        assert [name for name, _ in rows] == names
+        assert min(len(what.split()) for _, what in rows) >= 3
+    assert "ur10     UR10: cb3, reach 1.3 m, payload 10 kg" in [line.rstrip() for line in lines]
+    assert any(line.split() == ["gamepad", "Gamepad", "for", "one", "hand."] for line in lines)
 
 
 @pytest.mark.parametrize(
@@ -410,3 +431,143 @@ def test_a_command_runs_on_a_virtual_cell_and_ends_it(
     assert ("emulated cell" if command[0] == "rollout" else "the arms are there") in text
     (cell,) = cells
     assert cell._closed
+
+
+@pytest.mark.parametrize(
+    ("arguments", "lacking", "extras"),
+    [
+        (
+            ("rollout", "SineTracking", "--operator", "gamepad", "--cell", "virtual"),
+            ("sdl2", "greenlet"),
+            "teleop,virtual",
+        ),
+        (
+            ("live", "Handover", "--operator", "leader:port=x", "--cell", "lab.toml", "--command"),
+            ("viser", "serial", "rtde_control"),
+            "live,teleop,real",
+        ),
+        (
+            ("live", "Handover", "--operator", "gamepad", "--cell", "lab.toml"),
+            ("viser", "sdl2", "rtde_control"),
+            "live,teleop",
+        ),
+        (("view", "Handover"), ("viser",), "live"),
+        (("evaluate", "Handover", "--operator", "keyboard:window=true"), ("sdl2",), "teleop"),
+        (("collect", "Handover", "--takeover", "page"), ("minari", "viser"), "data,live"),
+        (
+            ("train", "Handover", "--dataset", "x/y-v0", "--operator", "gamepad"),
+            ("torch", "minari", "sdl2"),
+            "train,data,teleop",
+        ),
+        (("compare", "a", "b"), ("mcap_ros2", "matplotlib"), "records,plot"),
+        (("replay", "a", "--cell", "lab.toml"), ("mcap", "rtde_control"), "records,real"),
+        (("repeatability", "--cell", "lab.toml"), ("rtde_control",), "real"),
+        (("follow", "--to", "home", "--cell", "virtual"), ("greenlet",), "virtual"),
+    ],
+)
+def test_all_extras_that_are_missing_are_asked_for_at_once(
+    arguments: tuple[str, ...], lacking: tuple[str, ...], extras: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *more: None if name in lacking else find(name, *more))
+    code, text = run(*arguments)
+    assert (code, text.count("\n")) == (2, 1)
+    assert text.endswith(f'pip install "dual-ur10[{extras}]"\n')
+    assert text.count(" needs ") == text.count(",", text.index("pip install")) + 1
+    assert not list(Path().iterdir())
+
+
+def test_extras_are_those_that_errors_and_the_package_name() -> None:
+    root = Path(cli_options.__file__).parents[2]
+    known = tomllib.loads((root / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    assert cli_options.PACKAGES.keys() <= known.keys()
+    named = set()
+    for path in (each for package in ("dual_ur10", "ur_emulator") for each in (root / package).rglob("*.py")):
+        named |= set(re.findall(r'MissingExtraError\("([^"]+)", "([^"]+)"', path.read_text()))
+    assert len(named) > 10
+    assert {(package, extra) for package, extra in named if package not in cli_options.PACKAGES.get(extra, ())} == {
+        ("example-robot-data", "meshes")  # for a keyword, not for a command
+    }
+
+
+def test_an_error_of_several_extras_keeps_a_note_on_python_last(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "version_info", (3, 13, 0))
+    first = MissingExtraError("viser", "live", "the live page")
+    both = MissingExtraError("ur_rtde", "real", "moving UR arms", [first])
+    assert str(both) == (
+        "the live page needs viser, and moving UR arms needs ur_rtde, which has wheels for Python 3.11 and 3.12 only, "
+        'found 3.13. There: pip install "dual-ur10[live,real]"'
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "wanted"),
+    [
+        (("rollot",), "rollout"),
+        (("cell", "chek"), "check"),
+        (("rollout", "SineTracking", "--polcy", "x"), "--policy"),
+        (("rollout", "handovr"), "DualUR10/Handover-v0"),
+        (("rollout", "carry"), "DualUR10/SyncCarry-v0"),
+        (("rollout", "SINETRACKING"), "DualUR10/SineTracking-v0"),
+        (("rollout", "SineTracking", "-p", "lerned"), "learned"),
+        (("rollout", "SineTracking", "--cell", "virtul"), "virtual"),
+        (("rollout", "SineTracking", "--set", "action_mode=tcp_dleta"), "tcp_delta"),
+        (("rollout", "SineTracking", "--set", "robot=UR10E"), "ur10e"),
+        (("rollout", "SineTracking", "--set", "reward=spars"), "sparse"),
+        (("rollout", "SineTracking", "--set", 'reward_weights={"positon": 1}'), "position"),
+        (("rollout", "SineTracking", "--operator", "game"), "gamepad"),
+        (("rollout", "SineTracking", "--operator", "leader:bud=3"), "baud"),
+        (("evaluate", "SineTracking", "--randomization", "mld"), "mild"),
+        (("evaluate", "SineTracking", "--cell", "lab.toml", "--arm", "lefft"), "left"),
+        (("video", "SineTracking", "-o", "x.mp4", "--cameras", "frnt"), "front"),
+        (("train", "SineTracking", "--algo", "dager"), "dagger"),
+        (("train", "SineTracking", "--agents", "share"), "shared"),
+        (("train", "SineTracking", "--algo", "ppo", "--hyperparameter", "gama=0.9"), "gamma"),
+        (("follow", "--to", "hme"), "home"),
+        (("emulate", "--robot", "ur16"), "ur16e"),
+        (("emulate", "--plant", "nominl"), "nominal"),
+        (("emulate", "--polyscope", "5.2.6"), "5.26"),
+        (("emulate", "--family", "eseries"), "e-series"),
+        (("emulate", "--task", "handovr"), "DualUR10/Handover-v0"),
+        (("emulate", "--tool", "generic_14"), "generic_140"),
+        (("cell", "new", "lab.toml", "--kind", "rael"), "real"),
+        (("teach", "x.csv", "--cell", "lab.toml", "--arm", "rigt"), "right"),
+    ],
+)
+def test_misspelled_names_are_answered_with_the_nearest_one(arguments: tuple[str, ...], wanted: str) -> None:
+    code, text = run(*arguments)
+    assert code == 2
+    hint = rf"([Dd]id you mean|Possible options:) '?{re.escape(wanted)}\b"
+    assert re.search(hint, " ".join(text.split())), text
+
+
+@pytest.mark.parametrize(
+    ("module", "arguments", "doing"),
+    [
+        ("rollout", ("rollout", "SineTracking", "-n", "2", "--no-record", *SHORT), "episode 2 of 2"),
+        ("doctor", ("repeatability", "--paths", "2", "--settle", "0"), "returning home"),
+    ],
+)
+def test_a_terminal_sees_the_time_left(
+    module: str, arguments: tuple[str, ...], doing: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    screen = Console(file=io.StringIO(), force_terminal=True, width=160)
+    monkeypatch.setattr(f"dual_ur10.cli.{module}.console", screen)
+    assert run(*arguments)[0] == 0
+    shown = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", screen.file.getvalue())  # type: ignore[attr-defined]
+    assert re.search(rf"{doing} \S* *100% 0:00:\d\d 0:00:00", shown), shown
+
+
+@pytest.mark.parametrize(
+    ("terminal", "cell", "shown"),
+    [(True, None, True), (False, None, False), (True, "virtual", True), (True, "x", False)],
+)
+def test_a_bar_is_neither_in_files_nor_over_questions(terminal: bool, cell: str | None, shown: bool) -> None:
+    console = Console(file=io.StringIO(), force_terminal=terminal)
+    assert cli_options.progress_of(console, cli_options.asks(cell)).disable != shown
+
+
+def test_all_commands_show_progress_in_the_same_way() -> None:
+    folder = Path(cli_options.__file__).parent
+    own = [path.name for path in folder.rglob("*.py") if re.search(r"\bProgress\(|\.status\(", path.read_text())]
+    assert own == ["options.py"]

@@ -20,7 +20,7 @@ try:
     from greenlet import GreenletExit as GreenletExit
     from greenlet import getcurrent, greenlet
 except ImportError:
-    raise MissingExtraError("greenlet", "virtual", "virtual cells") from None
+    raise MissingExtraError("greenlet", "virtual", "a virtual cell") from None
 
 log = logging.getLogger(__name__)
 

@@ -33,6 +33,12 @@ DEVICES: Final = {
 }
 """Classes of devices, or functions that make them, "module:Class", by name."""
 
+_EXTRAS: Final = {
+    "gamepad": ("teleop", "a gamepad"),
+    "leader": ("teleop", "a leader arm"),
+    "page": ("live", "the live page"),
+}
+
 _OWN: Final = re.compile(r"([^\W\d][\w.]*:[^\W\d]\w*)(?::(.*))?", re.DOTALL)
 _OF_MAPPING: Final = tuple(each.name for each in dataclasses.fields(Mapping))
 _NOT_TEXT: Final = ("clock", "file", "setup", "acts_on")  # arguments of devices that only programs give
@@ -54,6 +60,21 @@ def device_class(text: str) -> tuple[str, str]:
     if own is None:
         raise UnknownNameError("operator", text, tuple(DEVICES), "module:Class of a device of your own")
     return own[1], own[2] or ""
+
+
+def extra_of(text: str) -> tuple[str, str] | None:
+    """Return the extra that a device needs and a noun for it; None: it needs none.
+
+    Args:
+        text: As for `device_class`.
+
+    Raises:
+        SettingsError: An argument has another form.
+    """
+    name, _, rest = text.partition(":")
+    if name == "keyboard" and arguments_in(rest).get("window") is True:
+        return "teleop", "a keyboard's window"
+    return _EXTRAS.get(name)
 
 
 def arguments_in(text: str) -> dict[str, Any]:

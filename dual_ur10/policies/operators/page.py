@@ -112,7 +112,7 @@ def open_page(
 def page_device(
     setup: EnvSetup, port: int = PORT, cameras: str = CAMERAS, *, acts_on: Sequence[str] = ()
 ) -> PageDevice:
-    """Start a page of handles for the operator of an environment, and wait until it serves.
+    """Start a page in a browser with a handle at each tool, for one hand or two, and wait until it serves.
 
     On controllers it has the button that stops both arms.
 

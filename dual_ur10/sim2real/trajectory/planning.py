@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dual_ur10.errors import TrajectoryError
+from dual_ur10.errors import TrajectoryError, nearest_name
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.planner import plan_path
@@ -72,9 +72,11 @@ def configuration_of(text: str, home_q_rad: Array) -> tuple[tuple[str, ...], Arr
     except ValueError:
         q_rad = np.empty(0)
     if arm not in ("", *ARMS) or q_rad.size != 6 * len(arms):
+        near = nearest_name(text, ["home"])
+        hint = f" (did you mean {near!r}?)" if near else ""
         raise TrajectoryError(
-            f"{text!r:.200} is no configuration: it must be home, 12 joint angles, left: or right: and six, or the "
-            "file of a trajectory",
+            f"{text!r:.200} is no configuration{hint}: it must be home, 12 joint angles, left: or right: and six, or "
+            "the file of a trajectory",
             ResultCode.INVALID_JOINTS,
         )
     return arms, q_rad.reshape(len(arms), 6)

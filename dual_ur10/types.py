@@ -1,4 +1,4 @@
-"""Array types shared by all rooms, read-only constants, and a base for objects with `close()`.
+"""Array types shared by all rooms, read-only constants, texts of settings, and a base for objects with `close()`.
 
 Shapes stand in docstrings: NumPy's types do not hold them.
 """
@@ -6,10 +6,11 @@ Shapes stand in docstrings: NumPy's types do not hold them.
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from types import TracebackType
-from typing import Self, TypeAlias
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,14 @@ def constant(values: object) -> Array:
     array = np.array(values, dtype=np.float64)
     array.setflags(write=False)
     return array
+
+
+def changed(settings: Any) -> str:
+    """Return the settings that differ from the default ones, as they would be passed."""
+    default = type(settings)()
+    names = [each.name for each in dataclasses.fields(settings)]
+    texts = [(name, repr(getattr(settings, name)), repr(getattr(default, name))) for name in names]
+    return ", ".join(f"{name}={given}" for name, given, usual in texts if given != usual)
 
 
 class Closing(ABC):

@@ -263,35 +263,6 @@ def test_the_types_of_the_wheel_reach_its_users(wheel, tmp_path):
     assert "Found 1 error in 1 file" in found.stdout
 
 
-PUBLIC = {
-    "dual_ur10": {"envs", "errors", "policies", "tasks", "testing"},
-    "dual_ur10.envs": set(),
-    "dual_ur10.kinematics": set(),
-    "dual_ur10.policies": set(),
-    "dual_ur10.sim2real.trajectory": set(),
-    "dual_ur10.tasks": set(),
-    "dual_ur10.testing": {"emulated_cell", "pytest_configure", "virtual_cell"},
-    "ur_emulator.testing": {"pytest_configure", "ur_controller"},
-}
-"""Public modules, and names of each beside `__all__`: modules, fixtures and hooks."""
-
-
-@pytest.mark.parametrize("name", PUBLIC)
-def test_dir_shows_what_is_public(name):
-    module = importlib.import_module(name)
-    assert set(module.__all__) <= set(dir(module)) <= {*module.__all__, *PUBLIC[name]}
-    for each in dir(module):
-        getattr(module, each)
-
-
-def test_dir_of_the_errors_shows_errors_alone():
-    from dual_ur10 import errors
-
-    public = [getattr(errors, name) for name in dir(errors)]
-    assert len(public) > 40
-    assert all(issubclass(each, errors.DualUR10Error) for each in public)
-
-
 FLOORS = (
     ("errors", "files", "ids", "registration", "types"),
     ("kernel",),

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import os
+import re
 import subprocess
 import sys
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import gymnasium as gym
+import numpy as np
 import pytest
 
 import dual_ur10
 from dual_ur10 import envs, ids, policies
 from dual_ur10.envs import dm_env, parallel_env
+from dual_ur10.envs.core.follower import home_of
 from dual_ur10.envs.core.setup import load_task
 from dual_ur10.envs.tasks.sine_tracking.task import SineTracking
 from dual_ur10.errors import CheckpointError, SettingsError, UnknownNameError
@@ -28,6 +33,7 @@ from dual_ur10.policies.training.settings import Imitation, Reinforcement, TaskS
 from dual_ur10.registration import register as register_task
 from dual_ur10.sim2real.analysis.reconstruction import keywords_of
 from dual_ur10.sim2real.recording.reader import read_run
+from dual_ur10.sim2real.trajectory import JointTrajectory
 from tests.policies.learned.checkpoints import parts
 
 # Gymnasium warns of each version that is not the newest.
@@ -272,12 +278,33 @@ def test_an_unknown_name_comes_with_the_nearest_one(both):
         env_id_of("Juggling")
 
 
-@pytest.mark.parametrize("module", [dual_ur10, policies, envs])
-def test_dir_shows_public_names(module):
-    shown = dir(module)
-    assert {*module.__all__} <= {*shown}
-    assert {each for each in shown if not hasattr(module, each)} == set()
-    assert {"annotations", "Any", "TYPE_CHECKING", "interrupts", "registration"} & {*shown} == set()
+PUBLIC = {
+    "dual_ur10": {"envs", "errors", "policies", "tasks", "testing"},
+    "dual_ur10.envs": set(),
+    "dual_ur10.kinematics": set(),
+    "dual_ur10.policies": set(),
+    "dual_ur10.sim2real.trajectory": set(),
+    "dual_ur10.tasks": set(),
+    "dual_ur10.testing": {"emulated_cell", "pytest_configure", "virtual_cell"},
+    "ur_emulator.testing": {"pytest_configure", "ur_controller"},
+}
+"""Public modules, and names of each beside `__all__`: modules, fixtures and hooks."""
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_dir_shows_what_is_public(name):
+    module = importlib.import_module(name)
+    assert set(module.__all__) <= set(dir(module)) <= {*module.__all__, *PUBLIC[name]}
+    for each in dir(module):
+        getattr(module, each)
+
+
+def test_dir_of_the_errors_shows_errors_alone():
+    from dual_ur10 import errors
+
+    public = [getattr(errors, name) for name in dir(errors)]
+    assert len(public) > 40
+    assert all(issubclass(each, errors.DualUR10Error) for each in public)
 
 
 def test_objects_say_what_they_are():
@@ -293,5 +320,40 @@ def test_objects_say_what_they_are():
     scripted = policies.load("scripted", "DualUR10/SineTracking-v0", amplitude_m=0.05)
     assert repr(scripted) == "SineTrackingPolicy(amplitude_m=0.05, joint_delta at 25 Hz)"
     assert [repr(zero), repr(as_policy(len))] == ["ZeroPolicy((12,))", "FunctionPolicy(len)"]
+    follower = policies.load("scripted", "DualUR10/Handover-v0", action_mode="tcp_delta")
+    assert repr(follower) == "HandoverFollower(tcp_delta at 25 Hz)"
     with contextlib.closing(parallel_env("Handover")) as pair:
         assert repr(pair) == "DualArmParallelEnv(DualUR10/Handover-v0, Handover(), joint_delta at 25 Hz, mujoco cell)"
+
+
+def test_every_kind_of_environment_says_what_it_is():
+    about = "DualUR10/SineTracking-v0, SineTracking(duration_s=1.0), joint_delta at 25 Hz, mujoco cell"
+    with contextlib.closing(gym.make_vec("DualUR10/SineTracking-v0", num_envs=2, duration_s=1.0)) as vector:
+        assert [repr(vector), repr(vector.core)] == [f"DualArmVectorEnv(2 × {about})", f"Core({about})"]
+    with contextlib.closing(dm_env("SineTracking", duration_s=1.0)) as env:
+        assert repr(env) == f"DualArmDmEnv({about})"
+    bridge = pytest.importorskip("dual_ur10.envs.api.sb3_bridge")
+    with contextlib.closing(bridge.TwoAgentVecEnv("SineTracking", 2, duration_s=1.0)) as rows:
+        assert repr(rows) == f"TwoAgentVecEnv(2 × {about})"
+
+
+def test_results_say_in_a_line_what_they_are():
+    env, policy = policies.make("zero", "SineTracking", duration_s=1.0)
+    with env:
+        found = policies.rollout(env, policy, seed=3)
+    assert re.fullmatch(r"Record\(25 steps, return -?[\d.]+, (no )?success\)", repr(found))
+    assert repr(replace(found, ended_by="bar_lost", success=False)).endswith(", no success, ended by bar_lost)")
+    found = evaluate("DualUR10/SineTracking-v0", "zero", episodes=2, seed=5, env_kwargs={"duration_s": 1.0})
+    count = f"success {found.successes} of 2"
+    assert repr(found) == f"Evaluation(DualUR10/SineTracking-v0, zero, {count}, seeds from 5)"
+
+
+def test_settings_and_trajectories_show_what_was_chosen():
+    assert repr(dual_ur10.CellConfig()) == "CellConfig()"
+    assert repr(dual_ur10.CellConfig(speed_rad_s=0.5, meshes=True)) == "CellConfig(meshes=True, speed_rad_s=0.5)"
+    points = JointTrajectory(("left",), np.array([0.0, 1.5]), np.zeros((2, 1, 6)))
+    assert repr(points) == "JointTrajectory(left, 2 points, 1.5 s)"
+    with envs.make_follower("mujoco") as follower:
+        follower.start(home_of("mujoco"))
+        assert repr(follower) == "TrajectoryExecutor(MujocoCell, at rest)"
+    assert repr(follower) == "TrajectoryExecutor(MujocoCell, closed)"

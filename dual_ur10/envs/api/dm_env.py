@@ -49,6 +49,9 @@ class DualArmDmEnv(Environment):  # type: ignore[misc]  # the package dm_env has
         self.info: dict[str, Any] = {}
         self._seed, self._over = seed, True
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.env.core})"
+
     def reset(self, *, move_to_start: bool = False) -> TimeStep:
         """Begin an episode. The first one is sampled from the seed, and later ones with the same generator.
 

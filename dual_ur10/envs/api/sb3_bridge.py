@@ -80,6 +80,9 @@ class CellsVecEnv(VecEnv):
         self._actions: NDArray[Any] = np.zeros((rows * num_cells, *action.shape), dtype=np.float32)
         super().__init__(rows * num_cells, observation, action)
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.cells.num_envs} × {self.cells.core})"
+
     def _spaces(self) -> tuple[Any, Any]:
         """Return observation space and action space of a row."""
         raise NotImplementedError

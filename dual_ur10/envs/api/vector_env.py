@@ -263,6 +263,9 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
             raise SettingsError(f"{name} belongs to all rows, which share one core: pass one value, found {each!r:.99}")
         setattr(self, name, each[0])
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.num_envs} × {self.core})"
+
     @property
     def task(self) -> Any:
         """Task object of all rows."""

@@ -198,6 +198,9 @@ class Core:
         self.recorder: RunRecorder | None = None
         self._begin_record(keywords)
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self})"
+
     def __str__(self) -> str:
         rate = f"{self.setup.options.action_mode} at {1.0 / self.timing.period_s:g} Hz"
         return f"{self.setup.env_id}, {self.task!r}, {rate}, {self.config.kind} cell"

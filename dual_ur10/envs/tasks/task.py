@@ -17,7 +17,7 @@ from dual_ur10.envs.tasks.observation_layout import ConciseView, ObservationLayo
 from dual_ur10.errors import SettingsError
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.control.limits import MotionLimits
-from dual_ur10.types import Array, Mask, Rows
+from dual_ur10.types import Array, Mask, Rows, changed
 
 
 class Outcome(NamedTuple):
@@ -73,14 +73,6 @@ class SceneRequirements:
 
 SettingsT = TypeVar("SettingsT")
 MeasuredT = TypeVar("MeasuredT")
-
-
-def changed(settings: Any) -> str:
-    """Return the settings that differ from the default ones, as they would be passed."""
-    default = type(settings)()
-    names = [each.name for each in dataclasses.fields(settings)]
-    texts = [(name, repr(getattr(settings, name)), repr(getattr(default, name))) for name in names]
-    return ", ".join(f"{name}={given}" for name, given, usual in texts if given != usual)
 
 
 class Task(ABC, Generic[SettingsT, MeasuredT]):

@@ -160,6 +160,10 @@ class Evaluation:
         if not self.episodes:
             raise SettingsError("an evaluation needs one episode or more")
 
+    def __repr__(self) -> str:
+        count = f"success {self.successes} of {len(self.episodes)}"
+        return f"{type(self).__name__}({self.env_id}, {self.policy}, {count}, seeds from {self.seed})"
+
     @property
     def successes(self) -> int:
         """Number of successful episodes."""

@@ -45,6 +45,11 @@ class Record:
     flange_error_m: Array | None = None
     orientation_error_rad: Array | None = None
 
+    def __repr__(self) -> str:
+        end = f", ended by {self.ended_by}" if self.ended_by else ""
+        success = "success" if self.success else "no success"
+        return f"{type(self).__name__}({self.steps} steps, return {self.reward.sum():.6g}, {success}{end})"
+
     @property
     def steps(self) -> int:
         """Number of rows."""

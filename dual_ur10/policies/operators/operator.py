@@ -148,6 +148,9 @@ class Operator:
         self.commander: Mask = np.ones(2, dtype=bool)
         self.reset()
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.device.name}, {self.action_mode})"
+
     def reset(self) -> None:
         """Begin an episode: grippers are open, and what hands and leaders were joined to is forgotten."""
         self.buttons: frozenset[str] = frozenset()

@@ -61,6 +61,9 @@ class Takeover:
         self._period_s = operator.timing.period_s
         self.reset()
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.policy!r}, {self.operator!r})"
+
     @property
     def commander(self) -> Mask:
         """(2,) True for an arm that the person commands."""

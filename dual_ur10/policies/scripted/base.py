@@ -10,14 +10,14 @@ import numpy as np
 
 from dual_ur10.assets.settings import DEFAULT_TOOLS, SceneSettings
 from dual_ur10.assets.tool import Tool, levers_m
-from dual_ur10.envs.tasks.task import Task, Timing, changed
+from dual_ur10.envs.tasks.task import Task, Timing
 from dual_ur10.errors import ActionError, SettingsError
 from dual_ur10.kinematics import nearest
 from dual_ur10.kinematics.frames import ArmMount, Frames
 from dual_ur10.kinematics.poses import Poses
 from dual_ur10.kinematics.rotations import quat_to_matrix
 from dual_ur10.sim2real.control.limits import MotionLimits
-from dual_ur10.types import Array, Rows
+from dual_ur10.types import Array, Rows, changed
 
 
 class ScriptedPolicy:

@@ -11,7 +11,7 @@ from dual_ur10.envs.tasks.sync_carry.task import SyncCarry
 from dual_ur10.envs.tasks.task import Timing
 from dual_ur10.errors import UnknownNameError
 from dual_ur10.sim2real.control.adapter import TCP_ROTATION_RAD_S, TCP_STEP_M_S, ActionScale, scale_of_steps
-from dual_ur10.types import Array
+from dual_ur10.types import Array, changed
 
 _RATIO: Final = 0.3  # of the step that is left, in each period
 
@@ -44,9 +44,14 @@ class GoalFollower:
         if action_mode != "tcp_delta":
             raise UnknownNameError("action mode of the goal follower", action_mode, ["tcp_delta"])
         given: Any = self.task.settings_type() if settings is None else settings
+        self._settings, self._rate_hz = given, 1.0 / timing.period_s
         self._layout = self.task.layout_for(given)
         most = np.repeat([TCP_STEP_M_S, TCP_ROTATION_RAD_S], 3) * timing.period_s
         self._most = most * scale_of_steps(action_mode, action_scale)
+
+    def __repr__(self) -> str:
+        texts = changed(self._settings), f"tcp_delta at {self._rate_hz:g} Hz"
+        return f"{type(self).__name__}({', '.join(filter(None, texts))})"
 
     def reset(self) -> None:
         """Do nothing: there is no state."""

@@ -45,7 +45,7 @@ from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance, checked_b
 from dual_ur10.sim2real.control.limits import MotionLimits, checked_tcp
 from dual_ur10.sim2real.control.servoj import DEFAULT_SERVOJ, MEASURED_LOOKAHEAD_S, ServojProfile
 from dual_ur10.sim2real.processes.system import LOCAL, System
-from dual_ur10.types import Array, Rows, Vector3
+from dual_ur10.types import Array, Rows, Vector3, changed
 
 LEAST_DAMPING = 0.3
 """Smallest damping ratio of the servoj law: below it the arms overshoot the targets that the gate checks.
@@ -313,6 +313,9 @@ class CellConfig:
     grippers_mounted: bool = False
     equipment: Equipment = field(default_factory=Equipment)
     tools: tuple[Tool, Tool] | None = None
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({changed(self)})"
 
     def __post_init__(self) -> None:
         kind = cell_kind(self.kind)

@@ -214,3 +214,8 @@ class Run:
     episodes: list[Episode]
     events: list[Event]
     complete: bool
+
+    def __repr__(self) -> str:
+        cut = "" if self.complete else ", cut off"
+        about = f"{self.header.env_id}, {self.header.source} cell, {len(self.episodes)} episodes"
+        return f"{type(self).__name__}({about}, {len(self.events)} events{cut})"

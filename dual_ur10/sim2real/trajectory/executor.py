@@ -92,6 +92,10 @@ class TrajectoryExecutor(Closing):
         self._stream: PathCheck | None = None  # of the active goal
         self._pending: _Pending | None = None
 
+    def __repr__(self) -> str:
+        state = "closed" if self._closed else "moving" if self.moves else "at rest"
+        return f"{type(self).__name__}({type(self.cell).__name__}, {state})"
+
     # State.
 
     @property

@@ -74,6 +74,9 @@ class JointTrajectory:
         if self.qdd_rad_s2 is not None and self.qd_rad_s is None:
             raise TrajectoryError("accelerations are given without speeds: give both, or neither")
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({' and '.join(self.arms)}, {len(self)} points, {self.duration_s:g} s)"
+
     def __len__(self) -> int:
         return len(self.time_s)
 

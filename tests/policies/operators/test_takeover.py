@@ -52,6 +52,12 @@ def joints(action):
     return np.asarray(action).reshape(2, -1)[:, :6]
 
 
+def test_it_says_who_commands_what():
+    _, takeover, device, _ = shared()
+    mode = takeover.operator.action_mode
+    assert repr(takeover) == f"Takeover({takeover.policy!r}, Operator({device.name}, {mode}))"
+
+
 @pytest.mark.parametrize(("button", "taken"), [("take_left", [1, 0]), ("take_right", [0, 1]), ("take_both", [1, 1])])
 def test_an_arm_is_taken_in_the_action_of_its_button_and_the_other_goes_on(button, taken):
     _, takeover, device, observation = shared()

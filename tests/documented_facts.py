@@ -15,7 +15,8 @@ BENCHMARKS = "docs/reference/benchmarks.md"
 BENCHMARKS_METHOD = "docs/reference/benchmarks-method.md"
 TRUE_ERRORS = "docs/decisions/true-errors-count.md"
 TRAIN = "docs/tutorials/train.md"
-TWO_ARMS = "docs/how-to/two-arms.md"
+RUN_AND_STOP = "docs/how-to/run-and-stop.md"
+STOPS = "docs/reference/stops.md"
 CONTROL = "docs/explanation/control.md"
 ENVIRONMENTS = "docs/reference/environments.md"
 
@@ -213,22 +214,28 @@ STATEMENTS = [
     ("CHANGELOG.md", "({Handover_arm} and {SyncCarry_arm} numbers)"),
     ("CHANGELOG.md", "({SineTracking_both} numbers)"),
     # Constants of the code.
-    (TWO_ARMS, "{latency_ms} ms ({cb3_ticks} ticks of a CB3, {e_series_ticks} of an e-Series)"),
-    (TWO_ARMS, "the minimum is {cb3_least_ticks} ticks of a CB3 and {e_series_least_ticks} of an e-Series"),
-    (TWO_ARMS, "{margin_ms} ms ahead (two ticks of a CB3, six of an e-Series)"),
-    (TWO_ARMS, "| more than {policy_ms} ms after its deadline |"),
-    (TWO_ARMS, "the policy is late by more than {policy_ms} ms"),
-    (TWO_ARMS, "a joint is more than {deviation_rad} rad from its target for {deviation_states} states"),
-    (TWO_ARMS, "a joint is above {hot_c} °C"),
-    (TWO_ARMS, "no new RTDE timestamp for {stale_ms} ms"),
-    (TWO_ARMS, "the arm was moved by more than {gap_mrad} mrad before the first target"),
-    (TWO_ARMS, "the relative pose of the arms is off by more than {apart_mm} mm or {apart_deg}°"),
-    (TWO_ARMS, "arms a watchdog there ({watchdog_hz} Hz)"),
-    (TWO_ARMS, "with at most {approach_rad_s} rad/s, and {approach_m_s} m/s at flange, elbow and TCP"),
-    (TWO_ARMS, "within {settle_s} s its target settles to {settled_rad} rad"),
-    (TWO_ARMS, "is tolerated up to {start_mrad} mrad, and it is measured within {measured_rad} rad"),
-    (TWO_ARMS, "approach each other within {near_mm} mm, to {least_scaling} at least"),
-    (TWO_ARMS, "the task's clock runs at {reduced} its rate"),
+    (
+        RUN_AND_STOP,
+        "| default of L | {latency_ms} ms ({cb3_ticks} ticks) | {latency_ms} ms ({e_series_ticks} ticks) |",
+    ),
+    (RUN_AND_STOP, "| smallest L | {cb3_least_ticks} ticks | {e_series_least_ticks} ticks |"),
+    (
+        RUN_AND_STOP,
+        "ahead by | {margin_ms} ms ({cb3_margin_ticks} ticks) | {margin_ms} ms ({e_series_margin_ticks} ticks) |",
+    ),
+    (RUN_AND_STOP, "| more than {policy_ms} ms after its deadline |"),
+    (STOPS, "the policy is late by more than {policy_ms} ms"),
+    (STOPS, "a joint is more than {deviation_rad} rad from its target for {deviation_states} states"),
+    (STOPS, "a joint is above {hot_c} °C"),
+    (STOPS, "no new RTDE timestamp for {stale_ms} ms"),
+    (STOPS, "the arm was moved by more than {gap_mrad} mrad before the first target"),
+    (STOPS, "the relative pose of the arms is off by more than {apart_mm} mm or {apart_deg}°"),
+    (RUN_AND_STOP, "arms a watchdog there ({watchdog_hz} Hz)"),
+    (RUN_AND_STOP, "with at most {approach_rad_s} rad/s, and {approach_m_s} m/s at flange, elbow and TCP"),
+    (RUN_AND_STOP, "within {settle_s} s its target settles to {settled_rad} rad"),
+    (RUN_AND_STOP, "is tolerated up to {start_mrad} mrad, and it is measured within {measured_rad} rad"),
+    (RUN_AND_STOP, "while two bodies approach each other within {near_mm} mm, to {least_scaling} at least"),
+    (RUN_AND_STOP, "the task's clock runs at {reduced} its rate"),
     (CONTROL, "closed forms of {shape0}s, {shape1}es and {shape2}s"),
     (CONTROL, "{bare_pairs} pairs cover every contact"),
     (CONTROL, "{gripper_pairs} with grippers, {payload_pairs} with payload geometry. At least {clear_mm} mm"),
@@ -239,8 +246,8 @@ STATEMENTS = [
     (CONTROL, "joint speeds, {hard_rad_s2} rad/s², {hard_rad_s3} rad/s³ and {hard_m_s} m/s"),
     (CONTROL, "SineTracking {SineTracking_rad_s} rad/s, SyncCarry {SyncCarry_rad_s} rad/s"),
     # Measurements.
-    (README, "RMS {perturbed_rms} mm, {perturbed_angle}° on a perturbed plant; RMS {streamed} mm through"),
-    (README, "on emulated arms, {streamed_busy} mm when the machine is busy |"),
+    (README, "RMS {perturbed_rms} mm, {perturbed_angle}° with wrong masses, friction and delays; through `ur_rtde` on"),
+    (README, "emulated arms RMS {streamed} mm, {streamed_busy} mm when the machine is busy |"),
     (
         README,
         "{sine_paths} of 300 episodes (sine, on any path), {carry_mild} of 300 (carry), {handover_mild} of 300",
@@ -248,16 +255,15 @@ STATEMENTS = [
     (README, "(handover); {least_min} to {most_min} min of training |"),
     (
         README,
-        "{steps_s} steps/s. With random actions, {least_peer} to {most_peer} times the simulated seconds per processor",
+        "{steps_s} steps/s. In a second of processor time, {least_peer} to {most_peer} times as many simulated seconds",
     ),
     (README, "{stop} control periods later in all 200 trials, {stop_busy} when the machine is busy."),
     (README, "both at rest after at most {killed} ms, {killed_busy} ms when busy |"),
     (README, "does not succeed in every handover: {ppo_handover}; a third seed is unsteady |"),
-    (README, "succeeds in {stock} unseen episodes (seeds 0 to 2), with mean flange errors of {stock_mm} mm, after"),
-    (README, "after {stock_minutes} min on one core, which the first two shared"),
+    (README, "succeeds in {stock} unseen episodes, with flange errors of {stock_mm} mm, after {stock_minutes} minutes"),
     ("docs/how-to/train-your-own.md", "{stock} episodes after {stock_minutes} minutes"),
     (README, "succeeds in {wide_script} episodes (scripted) and {wide_learned} of 300 (learned)"),
-    (README, 'as in "mild": {wide_known} (scripted)'),
+    (README, 'so that only the rest is "wide": {wide_known} (scripted)'),
     ("docs/decisions/own-inverse-kinematics.md", "ours takes {inverse_single} µs and {inverse_batch} µs since the"),
     # Trainings, and the policies of the package.
     (TRAIN, "the policies of the package took {least_min} to {most_min} minutes"),

@@ -310,7 +310,7 @@ class CellFile(Table):
             speeds = " and ".join(f"{first:g} {unit}" for first, unit in _FIRST.values())
             notes.append(
                 f"commissioned is false: no arm exceeds {speeds}, whatever its limits are, until the checklist of "
-                "docs/how-to/two-arms.md is signed and it is true"
+                "docs/how-to/commissioning-checklist.md is signed and it is true"
             )
         if self.speed_factor > FIRST_SPEED_FACTOR:
             notes.append(f"speed_factor is {self.speed_factor:g}: first runs are made at {FIRST_SPEED_FACTOR:g}")

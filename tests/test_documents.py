@@ -10,6 +10,7 @@ import shlex
 import shutil
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 from typing import get_args
 
 import pytest
@@ -226,6 +227,36 @@ def test_intervals_of_success_are_those_of_their_counts():
                 assert (found[3], found[4]) == (low, high.replace("100.0", "100")), row
                 checked += 1
     assert checked > 30
+
+
+def test_plots_of_the_benchmarks_are_those_of_their_tables():
+    pytest.importorskip("mkdocs")
+    module = hooks()
+    text = (DOCS / "reference" / "benchmarks.md").read_text()
+    page = SimpleNamespace(file=SimpleNamespace(src_uri="reference/benchmarks.md"))
+    drawn = module.on_page_markdown(text, page)
+    assert "<!-- plot" not in drawn
+    assert drawn.count("<svg") == len(module.PLOTS)
+    labels = re.findall(r'text-anchor="end"[^>]*>([^<]*)<', drawn)
+    assert len(labels) > 30
+    assert [each for each in labels if len(each) > module.LABEL] == []
+    with pytest.raises(LookupError, match="no table"):
+        module.rows_above("no table\n<!-- plot -->", "<!-- plot -->")
+
+    def shares(svg, attribute):
+        return [(float(each) - module.LEFT) / (module.RIGHT - module.LEFT) for each in
+                re.findall(rf'(?:circle|line class="interval")[^>]*{attribute}="([^"]*)"', svg)]  # fmt: skip
+
+    table = "| a | b | c | d |\n|---|---|---|---|\n| `p` | mild | 3 of 4 | 30.1 to 95.4 % |\n\n<!-- plot -->"
+    svg = module.policies_plot(module.rows_above(table, "<!-- plot -->"), "T")
+    found = [*shares(svg, "cx"), *shares(svg, "x1"), *shares(svg, "x2")]
+    assert found == pytest.approx([0.75, 0.301, 0.954], abs=1e-3)
+    svg = module.goals_plot(
+        [["figure", "goal", "quiet", "busy"], ["x", "2 ms", "1 ms", "1.5 ms"], ["y", "4", "1", "–"]]
+    )
+    assert shares(svg, "cx") == pytest.approx([0.75, 0.5, 0.25], abs=1e-3)
+    svg = module.speed_plot([["robosuite; ours", "robosuite", "ours, one"], ["A; B", "5", "10.5 (2.1 times)"]])
+    assert re.findall(r'<rect[^>]*width="([^"]*)"', svg) == [f"{430 * each / 20:.1f}" for each in (5, 10.5)]
 
 
 def test_only_short_keys_of_tables_stay_in_one_line():

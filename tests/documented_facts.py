@@ -206,7 +206,7 @@ STATEMENTS = [
         "docs/tutorials/first-environment.md",
         "holds {SineTracking_arm} numbers of the left arm, then {SineTracking_arm} of the right one",
     ),
-    (ENVIRONMENTS, "instead of {SineTracking_both} to {SyncCarry_both} numbers"),
+    (ENVIRONMENTS, "Instead of {SineTracking_both} to {SyncCarry_both} numbers"),
     (ENVIRONMENTS, "it has {SineTracking_goals} to {Handover_goals}, each float32"),
     ("CHANGELOG.md", "({Handover_arm} and {SyncCarry_arm} numbers)"),
     ("CHANGELOG.md", "({SineTracking_both} numbers)"),

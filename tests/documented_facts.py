@@ -40,11 +40,11 @@ SOURCES = [
     (
         BENCHMARKS,
         r"^- PPO from scratch, Handover \([^)]*\): "
-        r"success in (?P<ppo_handover>(?P<ppo0>\d+) and (?P<ppo1>\d+) of \d+), "
-        r"lifted in (?P<lifted0>\d+) and (?P<lifted1>\d+) %, "
-        r"handed over in (?P<handed0>\d+) and (?P<handed1>\d+) %, "
-        r"placed in (?P<placed0>\d+) and (?P<placed1>\d+) %. "
-        r"[\s\S]*? million and (?P<ppo0_min>\d+) and (?P<ppo1_min>\d+) minutes",
+        r"success in (?P<ppo_handover>(?P<ppo0>\d+), (?P<ppo1>\d+) and (?P<ppo2>\d+) of \d+), "
+        r"lifted in (?P<lifted0>\d+), (?P<lifted1>\d+) and (?P<lifted2>\d+) %, "
+        r"handed over in (?P<handed0>\d+), (?P<handed1>\d+) and (?P<handed2>\d+) %, "
+        r"placed in (?P<placed0>\d+), (?P<placed1>\d+) and\s+(?P<placed2>\d+) %. "
+        r"[\s\S]*? million steps and (?P<ppo0_min>\d+), (?P<ppo1_min>\d+) and (?P<ppo2_min>\d+) minutes",
     ),
     (
         BENCHMARKS,
@@ -256,7 +256,7 @@ STATEMENTS = [
     ),
     (README, "{stop} control periods later in all 200 trials, at most {stop_busy} when the machine is busy."),
     (README, "both at rest after at most {killed} ms, {killed_busy} ms when busy |"),
-    (README, "does not succeed in every handover: {ppo_handover}; a third seed is unsteady |"),
+    (README, "does not succeed in every handover: {ppo_handover} |"),
     (README, "succeeds in {stock} unseen episodes, with flange errors of {stock_mm} mm, after {stock_minutes} minutes"),
     ("docs/how-to/train-your-own.md", "{stock} episodes after {stock_minutes} minutes"),
     (README, "succeeds in {wide_script} episodes (scripted) and {wide_learned} of 300 (learned)"),

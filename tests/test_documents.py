@@ -19,11 +19,20 @@ import yaml
 
 import ur_emulator.cli
 from dual_ur10 import tasks
+from dual_ur10.assets import visuals
+from dual_ur10.assets.settings import Equipment, SceneSettings
 from dual_ur10.cli.main import app
+from dual_ur10.envs.core.randomization import PRESETS
 from dual_ur10.ids import ENV_IDS, TASKS, env_id_of
+from dual_ur10.kinematics.ur10 import ARMS
+from dual_ur10.policies.baselines import BASELINES
+from dual_ur10.policies.operators.catalog import DEVICES
+from dual_ur10.policies.registry import NAMES
 from dual_ur10.policies.training import settings
 from tests import documented_facts, scripts
 from tests.cli.command import run
+from ur_emulator.profile import POLYSCOPES, PROFILES
+from ur_emulator.world import PLANTS
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -507,6 +516,28 @@ def test_only_commands_with_an_environment_speak_of_episodes():
     for command, its in options():
         if "--seed" in its and "episode" in its["--seed"].help:
             assert "env" in its, command
+
+
+def test_the_help_names_all_presets():
+    """An option that takes one of a few names has them all in its help."""
+    cameras = visuals.cameras(SceneSettings(equipment=Equipment(grippers=True)))
+    wanted = {
+        ("rollout", "live", "view", "evaluate", "video", "collect"): {"--policy": (*NAMES, *BASELINES)},
+        ("rollout", "evaluate", "collect"): {"--operator": DEVICES},
+        ("evaluate", "video", "train", "collect"): {"--randomization": PRESETS},
+        ("video", "live", "view"): {"--cameras": cameras},
+        ("rollout", "evaluate", "live", "collect", "replay", "teach"): {"--arm": ARMS},
+        ("train",): {"--algo": get_args(settings.Algorithm), "--agents": get_args(settings.AgentsKind)},
+        ("emulate",): {"--plant": PLANTS, "--polyscope": POLYSCOPES, "--family": PROFILES},
+        ("doctor", "new"): {"--family": PROFILES},
+        ("calibrate",): {"--record": ("touch", "bar")},
+    }
+    found = dict(options())
+    for commands_of, names in wanted.items():
+        for command in commands_of:
+            for option, presets in names.items():
+                told = re.findall(r"[\w./-]*\w", found[command][option].help)
+                assert {*presets} <= {*told}, (command, option)
 
 
 def test_the_default_networks_are_those_of_the_settings():

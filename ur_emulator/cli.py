@@ -29,7 +29,8 @@ Polyscope = Annotated[
     str | None,
     typer.Option(
         "--polyscope",
-        help="PolyScope version of the controllers, such as 5.26. Default: 3.15, or 5.12 of the e-Series.",
+        help="PolyScope version of the controllers: 3.15, 5.12, 5.21, 5.22, 5.23, 5.25 or 5.26. Default: 3.15, or 5.12 "
+        "of the e-Series.",
     ),
 ]
 Plant = Annotated[

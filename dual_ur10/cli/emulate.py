@@ -18,8 +18,8 @@ def emulate(
         str | None,
         typer.Option(
             "--robot",
-            help="Model of both arms, such as ur5e, or of left and right: ur5e,ur10e. Default: ur10, or ur10e of the "
-            "e-Series.",
+            help="Model of both arms, such as ur5e, of those that `list` names; or of left and right: ur5e,ur10e. "
+            "Default: ur10, or ur10e of the e-Series.",
         ),
     ] = None,
     polyscope: Polyscope = None,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dual_ur10.cli.options import (
+    POLICIES,
     STOP_COMMANDED,
     CellFileName,
     EnvName,
@@ -43,7 +44,12 @@ NOBODY = "none"
 
 Port = Annotated[int, typer.Option("--port", min=0, max=65535, help="Port of the loopback interface; 0: any free one.")]
 Cameras = Annotated[
-    str, typer.Option("--cameras", help="Cameras of the scene whose images are shown, with commas; or none.")
+    str,
+    typer.Option(
+        "--cameras",
+        help="Cameras whose images are shown, with commas between: front, side, overhead, perspective, left/wrist, "
+        "right/wrist, or one of the task's own; or none.",
+    ),
 ]
 
 
@@ -54,8 +60,7 @@ def live(
         typer.Option(
             "--policy",
             "-p",
-            help="scripted, learned, random or zero; the folder of a checkpoint; or module:Class. Without it, the "
-            "operator alone leads both arms.",
+            help=f"{POLICIES} Without it, the operator alone leads both arms.",
         ),
     ] = None,
     operator: Annotated[

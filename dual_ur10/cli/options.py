@@ -45,10 +45,15 @@ RUNS = Path("runs")
 EnvName = Annotated[
     str, typer.Argument(metavar="ENV", help="An id, such as DualUR10/SineTracking-v0, or its short form SineTracking.")
 ]
+POLICIES = "scripted, learned, learned-two-agents, random or zero; the folder of a checkpoint; or module:Class."
+"""Forms of --policy."""
+
 PolicyName = Annotated[
     str,
     typer.Option(
-        "--policy", "-p", help="scripted, learned, random or zero; the folder of a checkpoint; or module:Class."
+        "--policy",
+        "-p",
+        help=POLICIES,
     ),
 ]
 OperatorName = Annotated[
@@ -73,7 +78,10 @@ TakeoverName = Annotated[
 Settings = Annotated[
     list[str] | None,
     typer.Option(
-        "--set", metavar="KEY=VALUE", help="A keyword of the environment, such as amplitude_m=0.05. May be repeated."
+        "--set",
+        metavar="KEY=VALUE",
+        help="A keyword of the environment, such as amplitude_m=0.05. May be repeated. An unknown one is answered with "
+        "all of them.",
     ),
 ]
 Perturbed = Annotated[bool, typer.Option("--perturbed", help="A plant that differs from the nominal model.")]
@@ -127,7 +135,10 @@ ArmFamily = Annotated[
 ]
 ArmModel = Annotated[
     str | None,
-    typer.Option("--robot", help="Model of both arms, such as ur5e. Default: ur10, or ur10e of the e-Series."),
+    typer.Option(
+        "--robot",
+        help="Model of both arms, such as ur5e, of those that `list` names. Default: ur10, or ur10e of the e-Series.",
+    ),
 ]
 
 

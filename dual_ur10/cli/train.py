@@ -67,7 +67,12 @@ _Agents = Annotated[
 
 _Changes = Annotated[
     list[str] | None,
-    typer.Option("--hyperparameter", metavar="KEY=VALUE", help="A hyperparameter of the algorithm. May be repeated."),
+    typer.Option(
+        "--hyperparameter",
+        metavar="KEY=VALUE",
+        help="A hyperparameter of the algorithm, such as gamma=0.99. May be repeated. An unknown one is "
+        "answered with all of them.",
+    ),
 ]
 _Corrector = Annotated[
     str,

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from dual_ur10.cli.live import NOBODY, PAGE_EXTRA, Cameras, Port, buttons_of, lead, policies_of, setup_for
-from dual_ur10.cli.options import EnvName, Perturbed, Seed, Settings, check_extras, console, keywords_of
+from dual_ur10.cli.options import POLICIES, EnvName, Perturbed, Seed, Settings, check_extras, console, keywords_of
 from dual_ur10.envs.rendering.live.guard import PORT
 from dual_ur10.errors import SettingsError
 
@@ -19,7 +19,7 @@ def view(
         typer.Option(
             "--policy",
             "-p",
-            help="scripted, learned, random or zero; the folder of a checkpoint; or module:Class. May be repeated: the "
+            help=f"{POLICIES} May be repeated: the "
             "page switches between them and those of the environment. Default: scripted.",
         ),
     ] = None,

@@ -94,7 +94,8 @@ def _print(findings: Sequence[Finding]) -> None:
             table.add_row(each.arm, escape(each.name), _MARKS[each.level], *cells)
         print_whole(table)
     counts = {level: sum(each.level == level for each in findings) for level in _MARKS}
-    console.print(f"{counts['ok']} ok, {counts['warn']} warnings, {counts['fail']} failed", highlight=False)
+    warnings = f"{counts['warn']} warning{'' if counts['warn'] == 1 else 's'}"
+    console.print(f"{counts['ok']} ok, {warnings}, {counts['fail']} failed", highlight=False)
 
 
 def repeatability(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import re
 from pathlib import Path
 
 import pytest
@@ -115,6 +116,21 @@ def test_clear_names_what_still_prevents_a_start(tmp_path: Path, monkeypatch: py
     assert code == 0
     assert latch.read() is None
     assert text.splitlines()[-1] == f"it would be refused now: {held.message}"
+
+
+def test_doctor_shows_problems_first_the_worst_before_the_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "cell.toml"
+    assert run("new", str(path), "--kind", "emulated")[0] == 0
+    levels = {"first": "ok", "second": "warn", "third": "ok", "worst": "fail"}
+    found = [Finding("left", name, level, "a", "b", "do it") for name, level in levels.items()]  # type: ignore[arg-type]
+    monkeypatch.setattr("dual_ur10.sim2real.commissioning.doctor.check_file", lambda cell: found)
+    code, text = command.run("doctor", str(path))
+    assert code == 1
+    assert re.findall("first|second|third|worst", text) == ["worst", "second", "first", "third"]
+    assert text.count("do it") == 2  # remedies of problems alone
+    assert text.splitlines()[-1] == "2 ok, 1 warning, 1 failed"
 
 
 def test_new_overwrites_nothing(tmp_path: Path) -> None:

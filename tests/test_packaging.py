@@ -181,6 +181,16 @@ def test_the_container_installs_what_the_pages_say():
     assert {"make", "g++", "python3", "python3-venv"} <= apt
 
 
+def test_the_packages_for_drawing_are_the_same_everywhere():
+    """PyOpenGL loads libOpenGL.so.0, which none of Mesa's packages brings."""
+    from dual_ur10.envs.rendering import images
+
+    pages = ["Dockerfile", ".github/workflows/ci.yml", "docs/how-to/install.md", "docs/how-to/images-and-videos.md"]
+    texts = [images._NO_GL, *((ROOT / page).read_text() for page in pages)]
+    named = [{*re.findall(r"\blib[a-z0-9-]*(?:egl|gl|mesa)[a-z0-9-]*", text)} - {"libosmesa6"} for text in texts]
+    assert named == [{"libegl1", "libegl-mesa0", "libgl1-mesa-dri", "libopengl0"}] * len(texts)
+
+
 def test_the_dev_container_is_the_same_container():
     dev = json.loads((ROOT / ".devcontainer" / "devcontainer.json").read_text())
     file = ROOT / ".devcontainer" / dev["build"]["dockerfile"]

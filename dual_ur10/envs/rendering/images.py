@@ -33,7 +33,7 @@ _MOST_SLICES, _MOST_STACKS = 28, 8
 
 _NO_GL = (
     "no OpenGL backend was found for drawing. On Debian or Ubuntu: apt-get install libegl1 libegl-mesa0 "
-    "libgl1-mesa-dri (or libosmesa6)"
+    "libgl1-mesa-dri libopengl0 (or libosmesa6)"
 )
 
 

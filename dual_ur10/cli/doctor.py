@@ -14,7 +14,7 @@ from rich.table import Table
 from dual_ur10.cli.options import (
     ArmFamily,
     ArmModel,
-    CellFileName,
+    CellName,
     Left,
     Perturbed,
     PowerOn,
@@ -23,6 +23,7 @@ from dual_ur10.cli.options import (
     console,
     family_of,
     keywords_of,
+    on_virtual,
     power_on,
     print_whole,
     progress_of,
@@ -100,7 +101,7 @@ def _print(findings: Sequence[Finding]) -> None:
 
 def repeatability(
     paths: Annotated[int, typer.Option("--paths", min=2, help="Random paths away and back.")] = 20,
-    cell: CellFileName = None,
+    cell: CellName = None,
     settle: Annotated[
         float, typer.Option("--settle", metavar="S", min=0.0, max=60.0, help="Rest before each measurement.")
     ] = 1.0,
@@ -119,7 +120,7 @@ def repeatability(
     from dual_ur10.sim2real.trajectory.repeatability import UR10_M, returns, spread_of
 
     check_extras(cell=cell)
-    keywords = keywords_of(None, perturbed, cell)
+    keywords = keywords_of(None, perturbed, on_virtual(cell, None))
     if power:
         power_on(cell)
     chosen = keywords.get("cell", "mujoco")

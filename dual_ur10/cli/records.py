@@ -12,7 +12,7 @@ from rich.table import Table
 from dual_ur10.cli.options import (
     RUNS,
     STOP_COMMANDED,
-    CellFileName,
+    CellName,
     NoRecord,
     OneArm,
     Partial,
@@ -25,6 +25,7 @@ from dual_ur10.cli.options import (
     errors,
     keywords_of,
     late_text,
+    on_virtual,
     power_on,
     progress_of,
     record_in,
@@ -38,7 +39,7 @@ DIFFERENT = 1
 
 def replay(
     run: RunPath,
-    cell: CellFileName = None,
+    cell: CellName = None,
     episode: Annotated[int, typer.Option("--episode", "-e", min=0, help="Number of the episode in the run.")] = 0,
     arm: OneArm = None,
     power: PowerOn = False,
@@ -68,7 +69,7 @@ def replay(
             bar = progress.add_task("playing")
             found = play(
                 recorded,
-                cell,
+                on_virtual(cell, recorded.header.env_id),
                 episode=episode,
                 keywords=keywords,
                 on_step=lambda done, total: progress.update(bar, completed=done, total=total),

@@ -42,6 +42,20 @@ def _somewhere_else(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
+def test_commands_that_only_move_run_on_a_virtual_cell_of_their_task(monkeypatch: pytest.MonkeyPatch) -> None:
+    from dual_ur10 import testing
+
+    def made(**options: Any) -> None:
+        raise SettingsError(f"a virtual cell with {options}")
+
+    monkeypatch.setattr(testing, "VirtualCell", made)
+    assert run("rollout", "SineTracking", "-n", "1", *SHORT)[0] == 0
+    (recorded,) = Path("runs").iterdir()
+    assert "a virtual cell with {'task': None}" in run("repeatability", "--cell", "virtual")[1]
+    text = run("replay", str(recorded), "--cell", "virtual", "--no-record")[1]
+    assert "a virtual cell with {'task': 'DualUR10/SineTracking-v0'}" in text
+
+
 def test_list_names_every_environment_with_its_sizes_and_its_task() -> None:
     code, text = run("list")
     assert code == 0

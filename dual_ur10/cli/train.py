@@ -43,6 +43,7 @@ from dual_ur10.sim2real.processes.interrupts import INTERRUPTED
 if TYPE_CHECKING:
     from rich.progress import Progress
 
+    from dual_ur10.policies.operators.operator import Operator
     from dual_ur10.policies.training import progress as reporting
     from dual_ur10.policies.training.corrections import Person
     from dual_ur10.policies.training.demonstrations import Demonstration
@@ -51,6 +52,8 @@ if TYPE_CHECKING:
 _REPORT_S = 30.0  # between lines where no terminal can draw a bar
 
 _KEYS = "b begins an episode, return keeps it, backspace discards it, n begins it anew; Ctrl-C ends"
+_OF_PAGE = "Record begins an episode, Success keeps it, Discard throws it away, Reset begins it anew; Ctrl-C ends"
+_TAKES = "; 1, 2, 3 take the left arm, the right one, both, 0 hands back"
 
 _OPTIONS = {"env": "ENV", "settings": "--set", "change": "--hyperparameter"}
 """Names on the command line of the parameters that have another name here."""
@@ -161,20 +164,44 @@ def _meet(training: Training) -> Person:
     operator = make_operator(
         training.operator, training.env_id, training.keywords, keys=True, buttons=(*TAKES, *EPISODES)
     )
-    console.print(f"{_KEYS}; 1, 2, 3 take the left arm, the right one, both, 0 hands back")
+    kept = _Kept(operator, _TAKES)
     return Person(
         operator,
-        shown=lambda env: shown(env, operator),
+        shown=lambda env: kept.shown_in(shown(env, operator)),
         tell=lambda text: console.print(escape(text), highlight=False),
-        on_end=_Kept(),
+        on_end=kept,
     )
 
 
 class _Kept:
-    """Prints the end of each demonstrated episode."""
+    """Prints the end of each demonstrated episode, and shows in the page what is kept.
 
-    def __init__(self) -> None:
+    Args:
+        operator: Operator, whose buttons it names.
+        more: Further keys of the terminal.
+    """
+
+    def __init__(self, operator: Operator, more: str = "") -> None:
+        from dual_ur10.policies.operators.page import PageDevice
+
+        has_page = isinstance(operator.device, PageDevice)
+        console.print(_OF_PAGE if has_page else f"{_KEYS}{more}", highlight=False, soft_wrap=True)
         self._count, self._total_s = 0, 0.0
+        self._env: Any = None
+
+    def shown_in(self, env: Any) -> Any:
+        """Return an environment, whose page shows what is kept if it has one."""
+        from dual_ur10.envs.rendering.live.shown import Shown
+
+        self._env = env if isinstance(env, Shown) else None
+        self._show()
+        return env
+
+    def _show(self) -> None:
+        if self._env is not None:
+            self._env.words["kept"] = f"{self._count} episodes, {self._total_s:.0f} s"
+            self._env.waiting = "press Record to begin an episode"
+            self._env.say()
 
     def __call__(self, found: Demonstration) -> None:
         """Print it."""
@@ -184,6 +211,7 @@ class _Kept:
         console.print(
             f"{end} after {found.time_s:.1f} s ({escape(found.ended_by)}); {self._count} kept, {self._total_s:.0f} s"
         )
+        self._show()
 
 
 class _Shown:
@@ -356,10 +384,10 @@ def _demonstrate(
     if "cell" not in keywords:
         keywords = {**AS_ON_CONTROLLERS, **keywords}
     made, actor = make(env, policy, keywords, seed, operator, takeover, keys=True)
-    console.print(_KEYS)
+    kept = _Kept(actor.operator if takeover else actor, _TAKES if takeover else "")
     interrupted = False
     try:
-        demonstrate(made, actor, episodes=episodes, seed=seed, on_end=_Kept())
+        demonstrate(kept.shown_in(made), actor, episodes=episodes, seed=seed, on_end=kept)
     except KeyboardInterrupt:
         interrupted = True
     finally:

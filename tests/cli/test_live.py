@@ -21,6 +21,7 @@ from dual_ur10.policies import load
 from dual_ur10.policies.operators import page as page_module
 from dual_ur10.policies.operators.catalog import operator_with
 from dual_ur10.policies.registry import keywords_for
+from dual_ur10.policies.training.demonstrations import Demonstration
 from dual_ur10.sim2real.processes.system import LOCAL
 from tests.cli.command import run
 from tests.policies.operators.hands import Hand, twist
@@ -170,6 +171,30 @@ def test_rollout_is_led_by_a_page_and_shown_in_it(monkeypatch, tmp_path):
     assert (code, "evaluate shows no page" in text) == (2, True)
     for page in pages:
         page.memory.close()
+
+
+def test_the_page_tells_how_to_begin_and_how_many_are_kept(monkeypatch, tmp_path):
+    found, original = [], page_module.open_page
+
+    def demonstrate(env, actor, *, on_end, **_):
+        words = env._page.memory
+        found.append(words.words)
+        env.reset(seed=0)
+        found.append(words.words)
+        on_end(Demonstration(450, 18.0, True, "success"))
+        found.append(words.words)
+
+    monkeypatch.setattr(page_module, "open_page", lambda *a, **k: original(*a, system=serving_nobody(), **k))
+    monkeypatch.setattr(LivePage, "wait_until_ready", lambda self: setattr(self, "url", "http://the.page/"))
+    monkeypatch.setattr(LivePage, "wait_until_open", lambda self: None)
+    monkeypatch.setattr("dual_ur10.policies.training.demonstrations.demonstrate", demonstrate)
+    device = ("--operator", "page:port=0,cameras=none", "--record", str(tmp_path / "runs"))
+    code, text = run("collect", "SineTracking", *device)
+    assert (code, "Record begins an episode, Success keeps it" in text) == (0, True)
+    assert "b begins" not in text  # a page has no keys
+    begin = "press Record to begin an episode"
+    assert [each.get("next") for each in found] == [begin, None, begin]
+    assert [each["kept"] for each in found] == ["0 episodes, 0 s"] * 2 + ["1 episodes, 18 s"]
 
 
 def test_every_step_is_shown(drive):

@@ -401,6 +401,17 @@ def test_a_connection_needs_its_own_origin_and_the_token(served):
         assert _connect(port, origin=own, cookie=wrong) == 403
 
 
+def test_arms_are_drawn_at_home_before_anything_is_known_of_them(served, setup):
+    _, page, _, _ = served
+    tools = page._poser.tool_targets()
+    assert tools[:, 2].min() > 0.1
+    assert np.ptp(tools[:, 1]) > 1.0
+    for (body, target), sent in page._drawing._sent.items():
+        np.testing.assert_allclose(sent, np.concatenate(page._poser.body(body, target=target)))
+    page._say(0.0)
+    assert "both arms at home: nothing is known of them yet" in page._panel._words.content
+
+
 def test_asking_for_a_tunnel_does_nothing(served, monkeypatch):
     port = served[0]
     opened = []

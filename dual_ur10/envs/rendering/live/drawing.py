@@ -10,7 +10,6 @@ import numpy as np
 
 from dual_ur10.envs.rendering.images import Canvas
 from dual_ur10.envs.rendering.live.about import About
-from dual_ur10.envs.rendering.live.memory import Row
 from dual_ur10.envs.rendering.live.scene import MOVED_M, Poser, parts_of
 from dual_ur10.errors import RenderError
 from dual_ur10.kinematics.ur10 import ARMS
@@ -77,9 +76,8 @@ class Drawing:
             self._frames[body, target] = server.scene.add_frame(name, show_axes=False)
         return name
 
-    def show(self, row: Row) -> None:
-        """Show the state of a row; only what has moved is sent."""
-        self._poser.pose(row.qpos, row.mocap, row.commanded_rad)
+    def draw(self) -> None:
+        """Show the poses of all bodies; only what has moved is sent."""
         away_m = self._poser.away_m()
         for (body, target), frame in self._frames.items():
             if target:

@@ -9,6 +9,7 @@ import os
 from typing import Any, Final
 
 from dual_ur10.assets.scene import build_model
+from dual_ur10.assets.settings import home_q_rad
 from dual_ur10.envs.rendering.live.about import About
 from dual_ur10.envs.rendering.live.commander import Commander
 from dual_ur10.envs.rendering.live.controllers import Controllers
@@ -54,6 +55,7 @@ class Page:
         self.commander = Commander(memory, system.clock)
         model = build_model(about.scene)
         self._poser = Poser(model)
+        self._poser.rest(home_q_rad(about.scene.mounts))
         self._handles = DragHandles(about, self.commander, self._poser)
         self._controllers: Controllers | None = None
         self._seen, self._polls = 0, 0
@@ -66,6 +68,7 @@ class Page:
         with server.atomic():
             self._panel = Panel(server.gui, about, self.commander, self._handles, self._stop)
             self._drawing = Drawing(server, model, self._poser)
+            self._drawing.draw()
             self._pictures = Pictures(server.gui, about, model)
             self._plots = Plots(server.gui, about)
         server.on_client_connect(self._enter)
@@ -100,7 +103,8 @@ class Page:
         with self._server.atomic():
             if rows:
                 self._row = rows[-1]
-                self._drawing.show(self._row)
+                self._poser.pose(self._row.qpos, self._row.mocap, self._row.commanded_rad)
+                self._drawing.draw()
             if self._polls % _HANDLES_EVERY == 0:
                 self._handles.follow()
             if self._polls % _WORDS_EVERY == 0:
@@ -114,6 +118,8 @@ class Page:
         words = self._memory.words
         if self._controllers is not None:
             words |= self._controllers.words(now_s)
+        if self._row is None:
+            words["drawn"] = "both arms at home: nothing is known of them yet"
         if self._pictures.failure:
             words["cameras"] = self._pictures.failure
         count, client = self._memory.pages, self.commander.client

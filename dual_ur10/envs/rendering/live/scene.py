@@ -162,6 +162,12 @@ class Poser:
         self._mujoco.mj_kinematics(self._model, cell)
         self._mujoco.mj_kinematics(self._model, target)
 
+    def rest(self, q_rad: Array) -> None:
+        """Set both arms and their targets to joint positions, (2, 6), and all else to where the model has it."""
+        qpos, cell = self._model.qpos0.copy(), self._cell
+        qpos[self._joints] = q_rad.reshape(12)
+        self.pose(qpos, np.hstack([cell.mocap_pos, cell.mocap_quat]), q_rad)
+
     @property
     def data(self) -> Any:
         """MuJoCo's data of the cell."""

@@ -28,6 +28,7 @@ class Shown(gym.Wrapper[Any, Any, Any, Any]):
         words: Lines of the page that the program adds.
         latch: Line of the latch; "": the page reads that of controllers itself.
         state: Addition to the line of the episode, such as "paused".
+        waiting: What the program waits for, such as "press Record to begin an episode"; a reset forgets it.
         late_s: Delay of the next step that the program knows of; NaN: unknown.
         episode: Number of the running episode, from 0; -1: none has begun.
         steps: Steps taken in it.
@@ -44,7 +45,7 @@ class Shown(gym.Wrapper[Any, Any, Any, Any]):
         if config.controllers:
             page.attach(self._core.cell)
         self.latch = "" if config.controllers else OPEN
-        self.state = ""
+        self.state = self.waiting = ""
         self.late_s = np.nan
         self.episode, self.steps = -1, 0
         self._return = 0.0
@@ -58,7 +59,7 @@ class Shown(gym.Wrapper[Any, Any, Any, Any]):
         observation, info = self.env.reset(**arguments)
         self.episode, self.steps, self._return = self.episode + 1, 0, 0.0
         self._gate, self._info, self._seed = "releases all", info, arguments.get("seed")
-        self._is_over = False
+        self._is_over, self.waiting = False, ""
         self._show({})
         return observation, info
 
@@ -101,7 +102,11 @@ class Shown(gym.Wrapper[Any, Any, Any, Any]):
         info = self._info
         seed = "" if self._seed is None else f", seed {self._seed}"
         state = f", {self.state}" if self.state else ""
-        found = {**self.words, "episode": f"{self.episode}, step {self.steps}{seed}{state}"}
+        found = {"next": self.waiting, **self.words} if self.waiting else dict(self.words)
+        if self.episode < 0:
+            self._page.say(found)
+            return
+        found["episode"] = f"{self.episode}, step {self.steps}{seed}{state}"
         if stage := describe(self._core.task.stages, info):
             found["progress"] = stage
         terms = [f"{name.partition('/')[2]} {value:.2f}" for name, value in info.items() if name.startswith("reward/")]

@@ -333,17 +333,17 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
 
 
 def on_page_content(html: str, **_: Any) -> str:
-    """Mark short keys of tables, which the style sheet keeps in one line, and let lines end at parts of longer code."""
+    """Mark short keys of tables, which the style sheet keeps in one line, and let lines end at parts of other code."""
 
     def parted(found: re.Match[str]) -> str:
         return re.sub(r"(?<=[/_.])(?=\w)", "<wbr>", found[0])
 
     def cell(found: re.Match[str]) -> str:
-        return re.sub(rf"(?<=<code>)[^<]{{{KEY_LENGTH + 1},}}(?=</code>)", parted, found[0])
+        return re.sub(r"(?<=>)[^<]+(?=</code>)", parted, found[0])
 
+    html = re.sub(rf"(?<=<td>)<code>(?=[^<]{{1,{KEY_LENGTH}}}</code>)", '<code class="key">', html)
     html = re.sub(r"<td>.*?</td>", cell, html, flags=re.DOTALL)
-    html = re.sub(r"(?<=<td>)(\d+)-(\d+)(?=</td>)", "\\1\N{NON-BREAKING HYPHEN}\\2", html)
-    return re.sub(rf"(?<=<td>)<code>(?=[^<]{{1,{KEY_LENGTH}}}</code>)", '<code class="key">', html)
+    return re.sub(r"(?<=<td>)(\d+)-(\d+)(?=</td>)", "\\1\N{NON-BREAKING HYPHEN}\\2", html)
 
 
 def decisions(folder: Path) -> str:

@@ -25,7 +25,6 @@ WIDER = """() => [
 """Texts of the tables and code that are wider than the page, and pictures that have no text or are missing."""
 
 NARROW = {
-    "reference/benchmarks",
     "explanation/architecture",
     "explanation/real-arms",
     *(f"tasks/{name}" for name in ("sine-tracking", "sync-carry", "handover", "free")),

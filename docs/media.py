@@ -92,7 +92,8 @@ VIDEOS = {
     "handover-failure": (
         "Handover --policy learned --set object_range_m=0.12 --set object_turn_rad=1.57 --seed 1 --speed 2",
         "Typical failure",
-        "The block lies up to 120 mm and 90° away, and the policy was trained for 30 mm and 45°: the time runs out.",
+        "The block lies up to 120 mm and 90° away, and the policy was trained for 30 mm and 45°: it grips late, and "
+        "puts the block down beside its target.",
     ),
 }
 """Videos: the command that makes each, its title, and what it shows."""

@@ -208,6 +208,12 @@ def test_the_videos_of_tasks_are_those_of_their_commands(workplace, monkeypatch)
     folder = DOCS / "media"
     entries = json.loads((folder / "media.json").read_text())
     assert {each["env_id"] for each in entries} == {*ENV_IDS}
+    tree = ast.parse((DOCS / "media.py").read_text())
+    named = {ast.unparse(each.targets[0]): each.value for each in tree.body if isinstance(each, ast.Assign)}
+    videos = ast.literal_eval(named["VIDEOS"])
+    assert {each["name"]: (each["title"], each["caption"]) for each in entries if "command" in each} == {
+        name: (title, caption) for name, (_, title, caption) in videos.items()
+    }
     expected = {"media.json"}
     for each in entries:
         expected.add(f"{each['name']}.webp")

@@ -336,7 +336,7 @@ def on_page_content(html: str, **_: Any) -> str:
     """Mark short keys of tables, which the style sheet keeps in one line, and let lines end at parts of other code."""
 
     def parted(found: re.Match[str]) -> str:
-        return re.sub(r"(?<=[/_.])(?=\w)", "<wbr>", found[0])
+        return re.sub(r"(?<=[/_.])(?=\w)|(?<=[a-z])(?=[A-Z])", "<wbr>", found[0])
 
     def cell(found: re.Match[str]) -> str:
         return re.sub(r"(?<=>)[^<]+(?=</code>)", parted, found[0])

@@ -283,6 +283,7 @@ def test_only_short_keys_of_tables_stay_in_one_line():
     marked = module.on_page_content(row.format(short) + row.format(long))
     assert marked == row.format(short).replace("<code>", '<code class="key">') + row.format(long)
     assert module.on_page_content(row.format("tests/of/some_room/test_name")).count("<wbr>") == 5
+    assert "Start<wbr>Error" in module.on_page_content(row.format("StartError"))
     assert module.on_page_content("<td>12-17</td>") == "<td>12\N{NON-BREAKING HYPHEN}17</td>"
     rules = re.findall(r"^([^{]*){[^}]*nowrap", (DOCS / "assets" / "extra.css").read_text(), re.MULTILINE)
     assert [each.split()[-1] for each in rules] == ["code.key"]

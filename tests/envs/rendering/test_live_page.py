@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import dataclasses
 import http.client
 import os
 import signal
@@ -11,6 +12,7 @@ import threading
 import time
 import types
 import urllib.parse
+from unittest.mock import MagicMock
 
 import mujoco
 import numpy as np
@@ -27,9 +29,19 @@ from dual_ur10.envs.rendering.live.drag_handles import DragHandles
 from dual_ur10.envs.rendering.live.guard import LOOPBACK, bind, make_server
 from dual_ur10.envs.rendering.live.history import History, Sending
 from dual_ur10.envs.rendering.live.live_page import LivePage
-from dual_ur10.envs.rendering.live.memory import BUTTONS, POLICIES, RING, SPEEDS, STALE_S, Handles, LiveMemory
+from dual_ur10.envs.rendering.live.memory import (
+    BUTTONS,
+    EPISODES,
+    POLICIES,
+    RING,
+    SPEEDS,
+    STALE_S,
+    TAKES,
+    Handles,
+    LiveMemory,
+)
 from dual_ur10.envs.rendering.live.page import Page
-from dual_ur10.envs.rendering.live.panel import LOOKS, end_of
+from dual_ur10.envs.rendering.live.panel import LOOKS, Panel, end_of
 from dual_ur10.envs.rendering.live.plots import _known
 from dual_ur10.envs.rendering.live.scene import Poser, parts_of
 from dual_ur10.envs.rendering.live.viewpoints import CAMERA, NARROW_CAMERA, look_from
@@ -149,6 +161,14 @@ def test_presses_arrive_once_and_in_order(memory):
 def test_every_button_has_a_look_and_a_label_of_its_own():
     assert {*LOOKS} == {*BUTTONS} - {*SPEEDS, *POLICIES}
     assert len({each.label for each in LOOKS.values()}) == len(LOOKS)
+
+
+@pytest.mark.parametrize(("buttons", "has"), [(EPISODES, True), (("stop", *TAKES), False)])
+def test_a_folder_without_buttons_is_left_out(about, buttons, has):
+    gui = MagicMock()
+    Panel(gui, dataclasses.replace(about, buttons=buttons), MagicMock(), MagicMock(), lambda: None)
+    folders = [call.args[0] for call in gui.add_folder.call_args_list]
+    assert folders == [*(["Episode"] if has else []), "Lead the arms", "Who commands"]
 
 
 class _Camera:

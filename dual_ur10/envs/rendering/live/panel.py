@@ -80,15 +80,9 @@ class Panel:
         group.on_click(look)
         if not about.commands:
             return
-        with gui.add_folder("Episode"):
-            for name in ("reset", "record", "success", "discard", "next_seed", "pause", "step"):
-                if name in about.buttons:
-                    self._add_button(gui, name)
-            if set(SPEEDS) <= {*about.buttons}:
-                self._add_group(gui, "Speed", {f"{ratio:g}×": name for name, ratio in SPEEDS.items()})
-            if about.policies:
-                names = dict(zip(about.policies, POLICIES, strict=False))
-                self._add_group(gui, "Policy", {end_of(policy, names): name for policy, name in names.items()})
+        if {*about.buttons} - {*TAKES, "stop"}:
+            with gui.add_folder("Episode"):
+                self._add_episode(gui, about)
         if about.handles:
             with gui.add_folder("Lead the arms"):
                 for name in TAKES:
@@ -102,6 +96,16 @@ class Panel:
             take.on_click(self._take)
             leave = gui.add_button("Leave the controls", hint="Watch, so that another page may command")
             leave.on_click(self._give_up)
+
+    def _add_episode(self, gui: Any, about: About) -> None:
+        for name in ("reset", "record", "success", "discard", "next_seed", "pause", "step"):
+            if name in about.buttons:
+                self._add_button(gui, name)
+        if set(SPEEDS) <= {*about.buttons}:
+            self._add_group(gui, "Speed", {f"{ratio:g}×": name for name, ratio in SPEEDS.items()})
+        if about.policies:
+            names = dict(zip(about.policies, POLICIES, strict=False))
+            self._add_group(gui, "Policy", {end_of(policy, names): name for policy, name in names.items()})
 
     def _add_button(self, gui: Any, name: str) -> None:
         look = LOOKS[name]

@@ -187,6 +187,9 @@ def _standard_input() -> int:
         raise DeviceAbsentError("keyboard: there is no standard input. Run this in a terminal") from None
 
 
+_UNSEEN: Final = b"offscreen"  # SDL's driver where there is no display
+
+
 class _Window:
     """Keys that are held in a window."""
 
@@ -199,7 +202,15 @@ class _Window:
         _sdl.begin(sdl, self._parts)
         title = b"dual_ur10: keys move the arms while this window has the focus"
         middle = sdl.SDL_WINDOWPOS_CENTERED
-        self._window: Any = sdl.SDL_CreateWindow(title, middle, middle, 480, 120, sdl.SDL_WINDOW_SHOWN)
+        is_seen = sdl.SDL_GetCurrentVideoDriver() != _UNSEEN
+        shown = sdl.SDL_WINDOW_SHOWN
+        self._window: Any = sdl.SDL_CreateWindow(title, middle, middle, 480, 120, shown) if is_seen else None
+        if not self._window:
+            _sdl.end(sdl, self._parts)
+            raise DeviceAbsentError(
+                "keyboard: there is no display for its window. Run this where there is one, or in a terminal with "
+                "keyboard alone"
+            )
 
     def read(self) -> tuple[Array, frozenset[str]]:
         """Return shares of full speed, (6,), and buttons."""

@@ -110,6 +110,13 @@ class TestWindow:
         made.close()
         made.close()
 
+    def test_a_window_that_nobody_sees_is_refused(self, sdl, monkeypatch):
+        monkeypatch.setenv("SDL_VIDEODRIVER", "offscreen")  # what SDL takes where there is no display
+        with pytest.raises(DeviceAbsentError, match="no display for its window"):
+            Keyboard(window=True)
+        monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+        Keyboard(window=True).close()
+
     @staticmethod
     def key(sdl, key, kind, repeat=0):
         event = sdl.SDL_Event()

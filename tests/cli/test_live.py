@@ -12,6 +12,7 @@ import pytest
 from dual_ur10.cli import options
 from dual_ur10.cli.live import buttons_of
 from dual_ur10.cli.live_session import LiveSession, WatchSession
+from dual_ur10.cli.train import _meet
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.rendering.live.guard import bind
 from dual_ur10.envs.rendering.live.live_page import LivePage
@@ -195,6 +196,28 @@ def test_the_page_tells_how_to_begin_and_how_many_are_kept(monkeypatch, tmp_path
     begin = "press Record to begin an episode"
     assert [each.get("next") for each in found] == [begin, None, begin]
     assert [each["kept"] for each in found] == ["0 episodes, 0 s"] * 2 + ["1 episodes, 18 s"]
+
+
+def test_a_training_meets_the_person_at_the_page(monkeypatch, capsys):
+    original, asked = page_module.open_page, []
+
+    def open_page(setup, buttons, **keywords):
+        asked.append(buttons)
+        return original(setup, buttons, system=serving_nobody(), **keywords)
+
+    monkeypatch.setattr(page_module, "open_page", open_page)
+    monkeypatch.setattr(LivePage, "wait_until_ready", lambda self: setattr(self, "url", "http://the.page/"))
+    monkeypatch.setattr(LivePage, "wait_until_open", lambda self: None)
+    env_id = "DualUR10/SineTracking-v0"
+    person = _meet(types.SimpleNamespace(operator="page:port=0,cameras=none", env_id=env_id, keywords={}))
+    with gym.make(env_id) as env:
+        for number in (1, 2):  # each round has an environment of its own
+            words = person.shown(env)._page.memory
+            assert (words.words["next"], asked) == ("press Record to begin an episode", [(*TAKES, *EPISODES)])
+            person.on_end(Demonstration(450, 18.0, True, "success"))
+            assert words.words["kept"] == f"{number} episodes, {18 * number} s"
+    person.operator.close()
+    assert "Success keeps it" in capsys.readouterr().out
 
 
 def test_every_step_is_shown(drive):

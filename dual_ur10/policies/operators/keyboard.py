@@ -71,7 +71,7 @@ class Keyboard:
         clock: Clock of the decay.
 
     Raises:
-        DeviceAbsentError: The standard input is no terminal.
+        DeviceAbsentError: The standard input is no terminal, or there is no display for the window.
         DeviceError: There is no display.
         MissingExtraError: PySDL2 is not installed, for a window.
         SettingsError: A value is not legal.

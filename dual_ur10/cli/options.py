@@ -43,7 +43,10 @@ RUNS = Path("runs")
 """Default folder of recorded runs."""
 
 EnvName = Annotated[
-    str, typer.Argument(metavar="ENV", help="An id, such as DualUR10/SineTracking-v0, or its short form SineTracking.")
+    str,
+    typer.Argument(
+        metavar="ENV", help="An id, such as DualUR10/SineTracking-v0, or its short form SineTracking; `list` names all."
+    ),
 ]
 POLICIES = "scripted, learned, learned-two-agents, random or zero; the folder of a checkpoint; or module:Class."
 """Forms of --policy."""
@@ -147,6 +150,11 @@ def example_of(arguments: str) -> str:
     return f"Example: dual-ur10 {arguments}"
 
 
+def _is_file(cell: str) -> bool:
+    """Return True if the value of --cell names a cell file."""
+    return "/" in cell or cell.endswith(".toml")
+
+
 def on_virtual(cell: Path | None, task: str | None) -> Any:
     """Return the virtual cell that `--cell virtual` stands for, which ends with the command; another value unchanged.
 
@@ -161,7 +169,7 @@ def on_virtual(cell: Path | None, task: str | None) -> Any:
     if cell is None:
         return None
     if (name := str(cell)) != VIRTUAL:
-        if "/" not in name and not name.endswith(".toml") and nearest_name(name, [VIRTUAL]) and name not in CELL_KINDS:
+        if not _is_file(name) and name not in CELL_KINDS and nearest_name(name, [VIRTUAL]):
             raise UnknownNameError("cell", name, [VIRTUAL, "echo"], "the path of a cell file, such as lab.toml")
         return name
     from dual_ur10.testing import VirtualCell
@@ -278,7 +286,7 @@ def check_extras(
         wanted |= dict(filter(None, [extra_of(device)]))
     if str(cell) == VIRTUAL:
         wanted["virtual"] = "a virtual cell"
-    elif moves and cell is not None and str(cell) != "echo":
+    elif moves and cell is not None and _is_file(str(cell)):
         wanted["real"] = "moving UR arms"
     missing: list[MissingExtraError] = []
     for extra, purpose in wanted.items():

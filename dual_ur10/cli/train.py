@@ -93,7 +93,10 @@ def train(
     context: typer.Context,
     env: Annotated[
         str | None,
-        typer.Argument(metavar="ENV", help="An id, such as DualUR10/SineTracking-v0, or its short form SineTracking."),
+        typer.Argument(
+            metavar="ENV",
+            help="An id, such as DualUR10/SineTracking-v0, or its short form SineTracking; `list` names all.",
+        ),
     ] = None,
     algo: Annotated[str, typer.Option("--algo", "-a", help="ppo, sac, bc or dagger.")] = "dagger",
     agents: _Agents = None,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import io
 import logging
@@ -489,6 +490,16 @@ def test_all_extras_that_are_missing_are_asked_for_at_once(
     assert text.endswith(f'pip install "dual-ur10[{extras}]"\n')
     assert text.count(" needs ") == text.count(",", text.index("pip install")) + 1
     assert not list(Path().iterdir())
+
+
+@pytest.mark.parametrize(
+    ("cell", "needs"), [("lab.toml", True), ("cells/lab", True), ("echo", False), ("mujoco", False), ("mine", False)]
+)
+def test_only_cell_files_need_the_client_of_real_arms(cell: str, needs: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *_: None)
+    with pytest.raises(MissingExtraError, match=r"\[real\]") if needs else contextlib.nullcontext():
+        cli_options.check_extras(cell=Path(cell))
+    cli_options.check_extras(cell=Path(cell), moves=False)
 
 
 def test_extras_are_those_that_errors_and_the_package_name() -> None:

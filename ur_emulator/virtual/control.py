@@ -184,7 +184,7 @@ def control_script(family: str) -> str:
     try:
         import rtde_control  # noqa: F401
     except ImportError:
-        raise MissingExtraError("ur_rtde", "virtual", "a virtual cell, which runs its control script") from None
+        raise MissingExtraError("ur_rtde", "virtual", "the control script of a virtual cell") from None
     emulator = Emulator(EmulatorOptions(family=family, plant="nominal"))
     server = emulator.servers[0]
     code = "import os, sys, rtde_control; rtde_control.RTDEControlInterface(sys.argv[1]); os._exit(0)"

@@ -156,5 +156,5 @@ def test_a_replay_that_differs_ends_with_code_1(tmp_path: Path, monkeypatch: pyt
 
 def test_without_matplotlib_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(MissingExtraError, match=r"dual-ur10\[plot\]"):
+    with pytest.raises(MissingExtraError, match=r"dual-ur10\[records,plot\]"):
         called("compare", str(tmp_path), str(tmp_path), "--out", str(tmp_path / "out.html"))

@@ -41,6 +41,12 @@ VIDEOS = {
         "Learned policy",
         "One network, by imitation learning.",
     ),
+    "sine-tracking-from-scratch": (
+        "SineTracking --policy sine_ppo --seconds 8",
+        "PPO from scratch",
+        "Stock Stable-Baselines3 with the README's settings: <code>python examples/train_with_sb3.py PPO 600000 "
+        "sine_ppo 2</code>.",
+    ),
     "sine-tracking-random": (
         "SineTracking --policy scripted --randomization mild --seed 1 --seconds 8",
         "Random plant",
@@ -83,6 +89,12 @@ VIDEOS = {
         "Learned policy",
         "One network, by imitation learning.",
     ),
+    "handover-from-scratch": (
+        "Handover --policy handover_ppo/policy --speed 2",
+        "PPO from scratch",
+        "From rewards alone, and slower than the others: <code>dual-ur10 train Handover --algo ppo --seed 2 "
+        "--out handover_ppo</code>.",
+    ),
     "handover-random": (
         "Handover --policy learned --randomization wide --seed 1 --speed 1.5",
         "Random plant",
@@ -96,7 +108,10 @@ VIDEOS = {
         "puts the block down beside its target.",
     ),
 }
-"""Videos: the command that makes each, its title, and what it shows."""
+"""Videos: the command that makes each, its title, and what it shows. Those of trained policies need their folders."""
+
+POLICIES = ("", "scripted", "learned")
+"""Policies that need no training before a video, or none at all."""
 
 SMALL = " --width 400 --height 300"
 """Size of the videos of which the README's picture needs nothing."""
@@ -234,6 +249,11 @@ def main(names: list[str]) -> None:
     for name in (*VIDEOS, "free"):
         if wanted(name):
             begun = time.monotonic()
+            options = VIDEOS[name][0].split() if name in VIDEOS else []
+            policy = options[options.index("--policy") + 1] if options else ""
+            if policy not in POLICIES and not Path(policy).exists():
+                print(f"{name}: kept as it is: train {policy} first, as its caption says")
+                continue
             entries[name] = free() if name == "free" else video(name)
             print(f"{name}: {time.monotonic() - begun:.0f} s. {entries[name]['end']}", flush=True)
             ordered = [entries[each] for each in (*VIDEOS, "free") if each in entries]

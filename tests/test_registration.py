@@ -333,8 +333,10 @@ def test_every_kind_of_environment_says_what_it_is():
         assert [repr(vector), repr(vector.core)] == [f"DualArmVectorEnv(2 × {about})", f"Core({about})"]
     with contextlib.closing(dm_env("SineTracking", duration_s=1.0)) as env:
         assert repr(env) == f"DualArmDmEnv({about})"
-    bridge = pytest.importorskip("dual_ur10.envs.api.sb3_bridge")
-    with contextlib.closing(bridge.TwoAgentVecEnv("SineTracking", 2, duration_s=1.0)) as rows:
+    pytest.importorskip("stable_baselines3")
+    from dual_ur10.envs.api.sb3_bridge import TwoAgentVecEnv
+
+    with contextlib.closing(TwoAgentVecEnv("SineTracking", 2, duration_s=1.0)) as rows:
         assert repr(rows) == f"TwoAgentVecEnv(2 × {about})"
 
 

@@ -116,9 +116,6 @@ def train(
     threads: Annotated[int | None, typer.Option("--threads", min=1, help="Threads that step the cells.")] = None,
 ) -> None:
     """Train a policy and save it as a checkpoint: by imitation (dagger, bc) or by reinforcement learning (ppo, sac)."""
-    check_extras(
-        ("train", "training"), *([("data", "a dataset")] if dataset else []), devices=[operator] if operator else []
-    )
     from dual_ur10.policies.training import train as trainings
 
     if resume is not None:
@@ -145,6 +142,8 @@ def train(
         )
         where = out or Path("trainings") / f"{asked.env_id.split('/')[1]}-{algo}-{asked.agents}-{seed}"
         run = partial(trainings.train, training=asked, out=where)
+        extras = ("train", "training"), *([("data", "a dataset")] if dataset else [])
+        check_extras(*extras, devices=[operator] if operator else [])
     try:
         with progress_of(console, left=False) as bar:
             made = run(threads=threads, on_progress=_Shown(bar, where), meet=_meet)

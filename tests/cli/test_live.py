@@ -199,6 +199,7 @@ def test_the_page_tells_how_to_begin_and_how_many_are_kept(monkeypatch, tmp_path
 
 
 def test_a_training_meets_the_person_at_the_page(monkeypatch, capsys):
+    pytest.importorskip("torch")
     original, asked = page_module.open_page, []
 
     def open_page(setup, buttons, **keywords):

@@ -46,7 +46,7 @@ def test_an_episode_and_a_stop(tmp_path):
             targets = np.array([numbers for _, _, numbers in cell.packages(arm)])
             assert len(targets) >= 2 * min(len(seen), 40)
             assert np.isfinite(targets).all()
-            assert np.abs(np.diff(targets, axis=0)).max() < 0.05
+            assert np.abs(np.diff(targets, axis=0)).max(initial=0.0) < 0.05  # a stall may leave none
             assert np.abs(cell.ask("state", arm=arm, names=["actual_qd"])["actual_qd"]).max() < 1e-3
         received = [cell.ask("received", arm=arm, since=1 << 40)["motion"] for arm in ARMS]
         for again in (lambda: env.step(env.action_space.sample()), lambda: cell.make(ENV_ID)):

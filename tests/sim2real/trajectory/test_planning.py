@@ -60,7 +60,9 @@ def test_configurations_have_names(tmp_path):
     "text", ["", "away", "1,2,3,4,5,6", "left:1,2", "up:1,2,3,4,5,6", "both:" + ",".join("1" * 12), "1,2,x", "home:"]
 )
 def test_other_texts_are_no_configuration(text):
-    with pytest.raises(TrajectoryError, match=r"is no configuration.*: it must be home, 12 joint angles, left: or"):
+    hint = r" \(did you mean 'home'\?\)" if text == "home:" else ""
+    must = "it must be home, 12 joint angles, left: or right:"
+    with pytest.raises(TrajectoryError, match=f"is no configuration{hint}: {must}"):
         configuration_of(text, HOME_Q_RAD)
 
 

@@ -72,7 +72,7 @@ class Keyboard:
 
     Raises:
         DeviceAbsentError: The standard input is no terminal, or there is no display for the window.
-        DeviceError: There is no display.
+        DeviceError: SDL cannot be initialised.
         MissingExtraError: PySDL2 is not installed, for a window.
         SettingsError: A value is not legal.
     """

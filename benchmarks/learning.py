@@ -18,9 +18,9 @@ Parts:
         action mode. The return is a ratio of the scripted policy's on the same seeds; steps and minutes are those of
         the first progress check that had half and 90 % of it. Minutes grow with the load of the machine; cpu_minutes
         are the processor time of all threads.
-    stock: for each task the returns of zero, uniform and normal actions as ratios of the script's (`returns.py`). For
-        SineTracking also Stable-Baselines3 by itself, with what `examples/train_with_sb3.py` states: `snippet` (PPO),
-        `stock_sac` and `stock_td3`, and `stock_ppo`, with its defaults. The worst of all seeds; minutes without
+    stock: for each task the returns of zero, uniform and normal actions as ratios of the script's (`returns.py`), and
+        `snippet`: Stable-Baselines3's PPO by itself, with what `examples/train_with_sb3.py` states. For SineTracking
+        also `stock_sac` and `stock_td3`, and `stock_ppo`, with its defaults. The worst of all seeds; minutes without
         progress checks. Only where it is named.
     from_demonstrations: behaviour cloning of 20 episodes of the scripted policy under noise, evaluated in the
         environment of the training; only where it is named. Steps are those of the demonstrations.
@@ -220,7 +220,7 @@ def from_scratch(env_id: str, episodes: int, seeds: int, plot: Path | None) -> d
 
 
 def stock(env_id: str, episodes: int, seeds: int, learners: Iterable[str]) -> dict[str, Any]:
-    """Measure the floors of a task and, for SineTracking, what stock learners reach; print the rows and return them."""
+    """Measure the floors of a task and what stock learners reach; print the rows and return them."""
     import returns
     import train_with_sb3 as example
 
@@ -229,16 +229,17 @@ def stock(env_id: str, episodes: int, seeds: int, learners: Iterable[str]) -> di
     script = earned.pop("script")
     result: dict[str, Any] = {f"{name}_ratio": each / script for name, each in earned.items()}
     print(f"{env_id}: {json.dumps(result)}", flush=True)
-    for name in learners if env_id == "DualUR10/SineTracking-v0" else ():
+    task = env_id.removeprefix("DualUR10/").removesuffix("-v0")
+    for name in learners:
+        if task != example.SINE and name != "snippet":
+            continue
         rows = []
         for seed in range(seeds):
             print(f"{env_id}, {name}, seed {seed}, load {os.getloadavg()[0]:.1f}", flush=True)
-            model, minutes = example.train(seed=seed, **STOCK[name])
-            found = {
-                key: float(each) for key, each in example.measure(STOCK[name]["algorithm"], model, episodes, 0).items()
-            }
-            found |= {"return_ratio": found["return"] / script, "minutes": minutes}
-            found |= {"steps": model.num_timesteps // (1 if STOCK[name]["algorithm"] == "PPO" else 2)}
+            model, steps, minutes = example.train(seed=seed, task=task, **STOCK[name])
+            measured_now = example.measure(task, STOCK[name]["algorithm"], model, episodes, 0)
+            found = {key: float(each) for key, each in measured_now.items()}
+            found |= {"return_ratio": found["return"] / script, "minutes": minutes, "steps": steps}
             print(json.dumps(found), flush=True)
             rows.append(found)
         worst = {"steps": max, "minutes": max, "error_mm": max}

@@ -44,8 +44,8 @@ VIDEOS = {
     "sine-tracking-from-scratch": (
         "SineTracking --policy sine_ppo --seconds 8",
         "PPO from scratch",
-        "Stock Stable-Baselines3 with the README's settings: <code>python examples/train_with_sb3.py PPO 600000 "
-        "sine_ppo 2</code>.",
+        "Stock Stable-Baselines3 with the README's settings: <code>python examples/train_with_sb3.py PPO --seed 2 "
+        "--out sine_ppo</code>.",
     ),
     "sine-tracking-random": (
         "SineTracking --policy scripted --randomization mild --seed 1 --seconds 8",

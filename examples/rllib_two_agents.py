@@ -6,6 +6,7 @@ arm the result is a checkpoint:
 python -m dual_ur10 evaluate SineTracking --policy FOLDER --set observation=goals --set action_scale=0.5
 """
 
+import math
 import os
 import sys
 
@@ -52,7 +53,7 @@ def ppo(iterations: int) -> PPOConfig:
         fcnet_hiddens=[HIDDEN, HIDDEN], fcnet_activation="tanh", vf_share_layers=False, free_log_std=True
     )
     config.rl_module(rl_module_spec=RLModuleSpec(module_class=Narrow, model_config=network))
-    batch = 4096
+    batch = 1024  # many small updates
     return config.training(
         lr=[[0, 1e-3], [batch * iterations, 1e-5]],
         gamma=0.9,
@@ -67,7 +68,7 @@ def ppo(iterations: int) -> PPOConfig:
     )
 
 
-def two_agents(iterations: int = 100) -> PPOConfig:
+def two_agents(iterations: int = 800) -> PPOConfig:
     """Use the PettingZoo interface: a policy for each arm."""
     register_env("two_arms", lambda config: ParallelPettingZooEnv(parallel_env("SineTracking", **config)))
     config = ppo(iterations).environment("two_arms", env_config={"reward": "individual", "max_cycles": SHORT, **SEEN})
@@ -75,7 +76,7 @@ def two_agents(iterations: int = 100) -> PPOConfig:
     return config.multi_agent(policies={"left", "right"}, policy_mapping_fn=lambda agent, episode, **keywords: agent)
 
 
-def joint_policy(iterations: int = 100) -> PPOConfig:
+def joint_policy(iterations: int = 800) -> PPOConfig:
     """Use the Gymnasium interface: one policy for both arms. The part before the colon registers the id."""
     keywords = {"max_episode_steps": SHORT, **SEEN}
     return ppo(iterations).environment("dual_ur10:DualUR10/SineTracking-v0", env_config=keywords)
@@ -96,7 +97,7 @@ def save(algorithm: Algorithm, folder: str) -> None:
 
 
 if __name__ == "__main__":
-    iterations = int(sys.argv[1]) if len(sys.argv) > 1 else 100
+    iterations = int(sys.argv[1]) if len(sys.argv) > 1 else 800
     joint = sys.argv[2:3] == ["joint"]
     folder = None if joint else checkpoint.check_new(sys.argv[3] if len(sys.argv) > 3 else "sine_rllib")
     ray.init("local", num_cpus=RUNNERS, include_dashboard=False)
@@ -104,8 +105,10 @@ if __name__ == "__main__":
         algorithm = (joint_policy if joint else two_agents)(iterations).build_algo()
         for iteration in range(1, iterations + 1):
             found = algorithm.train()["env_runners"]
-            returns = found.get("agent_episode_returns_mean") or {"both": found["episode_return_mean"]}
-            print(iteration, {name: round(float(value), 2) for name, value in returns.items()}, flush=True)
+            returns = found.get("agent_episode_returns_mean") or {"both": found.get("episode_return_mean", math.nan)}
+            # A batch is shorter than an episode: in some iterations none ends.
+            if not any(math.isnan(value) for value in returns.values()):
+                print(iteration, {name: round(float(value), 2) for name, value in returns.items()}, flush=True)
         if folder is not None:
             save(algorithm, str(folder))
         algorithm.stop()

@@ -1,12 +1,11 @@
-"""Stock Stable-Baselines3, from scratch: python examples/train_with_sb3.py [PPO|SAC|TD3] [STEPS] [FOLDER] [SEED].
+"""Stock Stable-Baselines3, from scratch: python examples/train_with_sb3.py [PPO|SAC|TD3] [--task SineTracking].
 
 It prints the curve of its training: what the policy does without exploration, in whole episodes that it does not learn
-from. The result is a checkpoint, with PPO and SAC:
-
-python -m dual_ur10 evaluate SineTracking --policy FOLDER --set observation=goals --set action_scale=0.5
+from. The result is a checkpoint, with PPO and SAC; the last line evaluates it.
 """
 
-import sys
+import argparse
+import json
 import time
 from typing import Any
 
@@ -21,6 +20,7 @@ from dual_ur10.envs.api.sb3_bridge import CellsVecEnv, JointVecEnv, TwoAgentVecE
 from dual_ur10.policies.learned import checkpoint
 from dual_ur10.policies.learned.from_sb3 import converted
 
+SINE = "SineTracking"
 SEEN: dict[str, Any] = {"observation": "goals", "action_scale": 0.5}
 SHORT = 100  # steps of an episode: an untrained policy is back at the reference before it has drifted far
 CELLS = {"PPO": 64, "SAC": 8, "TD3": 8}
@@ -56,17 +56,38 @@ SETTINGS: dict[str, dict[str, Any]] = {
 }
 STEPS = {"PPO": 600_000, "SAC": 60_000, "TD3": 60_000}
 
+# PPO on the tasks with objects: one policy for either arm, steps of the tools, wider exploration.
+OBJECTS: dict[str, Any] = {
+    "observation": "goals",
+    "action_mode": "tcp_delta",
+    "action_scale": {"translation": 0.5, "rotation": 0.5},
+}
+OBJECTS_SETTINGS: dict[str, Any] = {
+    "learning_rate": lambda left: 5e-4 * left,
+    "gamma": 0.95,
+    "n_steps": 32,
+    "batch_size": 1024,
+    "policy_kwargs": {"log_std_init": -0.9},
+}
+OBJECTS_STEPS = {"Handover": 1_500_000, "SyncCarry": 1_000_000}
+OBJECTS_SHORT = {"Handover": 500, "SyncCarry": 900}
 
-def cells(algorithm: str, number: int, reward: str = "individual", **keywords: Any) -> CellsVecEnv:
+
+def keywords_of(task: str) -> dict[str, Any]:
+    """Return the keywords of the environment that make a task easy to explore."""
+    return SEEN if task == SINE else OBJECTS
+
+
+def cells(task: str, algorithm: str, number: int, reward: str = "individual", **keywords: Any) -> CellsVecEnv:
     """Return cells in one batch: a row for each, or one for each arm."""
-    if algorithm == "PPO":
-        return JointVecEnv("SineTracking", number, **SEEN, **keywords)
-    return TwoAgentVecEnv("SineTracking", number, reward=reward, **SEEN, **keywords)
+    if task == SINE and algorithm == "PPO":
+        return JointVecEnv(task, number, **SEEN, **keywords)
+    return TwoAgentVecEnv(task, number, reward=reward, **keywords_of(task), **keywords)
 
 
-def measure(algorithm: str, model: BaseAlgorithm, episodes: int, first_seed: int) -> dict[str, float]:
-    """Return means of whole episodes without exploration: return, flange error in mm, and success."""
-    env = cells(algorithm, episodes, reward="shared")
+def measure(task: str, algorithm: str, model: BaseAlgorithm, episodes: int, first_seed: int) -> dict[str, float]:
+    """Return means of whole episodes without exploration: return, success, and SineTracking's flange error in mm."""
+    env = cells(task, algorithm, episodes, reward="shared")
     env.seed(first_seed)
     observation, live = env.reset(), np.ones(env.num_envs, dtype=bool)
     steps, earned, error_mm, success = np.zeros((4, env.num_envs))
@@ -74,56 +95,78 @@ def measure(algorithm: str, model: BaseAlgorithm, episodes: int, first_seed: int
         observation, reward, over, infos = env.step(model.predict(observation, deterministic=True)[0])
         steps += live
         earned += live * reward
-        error_mm += live * [1e3 * np.mean(info["flange_error_m"]) for info in infos]
+        if task == SINE:
+            error_mm += live * [1e3 * np.mean(info["flange_error_m"]) for info in infos]
         success += live & over & [bool(info.get("is_success")) for info in infos]
         live &= ~over
     env.close()
-    return {"return": earned.mean(), "error_mm": (error_mm / steps).mean(), "success": success.mean()}
+    found = {"return": earned.mean(), "success": success.mean()}
+    return found | {"error_mm": (error_mm / steps).mean()} if task == SINE else found
 
 
 def train(
-    algorithm: str, seed: int, steps: int = 0, settings: dict[str, Any] | None = None, number: int = 0
-) -> tuple[BaseAlgorithm, float]:
-    """Train, print the curve, and return the model and the minutes without those of the checks."""
+    algorithm: str,
+    seed: int,
+    steps: int = 0,
+    settings: dict[str, Any] | None = None,
+    number: int = 0,
+    task: str = SINE,
+    checks: int = 10,
+) -> tuple[BaseAlgorithm, int, float]:
+    """Train, print the curve, and return the model, its steps, and the minutes without those of the checks."""
     torch.set_num_threads(1)  # the cells use the others
-    number, steps = number or CELLS[algorithm], steps or STEPS[algorithm]
-    env = cells(algorithm, number, max_episode_steps=SHORT)
+    if task == SINE:
+        chosen, most, short = SETTINGS[algorithm], STEPS[algorithm], SHORT
+    else:
+        chosen, most, short = OBJECTS_SETTINGS, OBJECTS_STEPS[task], OBJECTS_SHORT[task]
+    number, steps = number or CELLS[algorithm], steps or most
+    env = cells(task, algorithm, number, max_episode_steps=short)
     rows = env.num_envs // number
-    chosen = SETTINGS[algorithm] if settings is None else settings
     # It learns from episodes with this seed and those that follow.
     first_seed = 1_000_000_000 + 1_000_000 * seed
+    chosen = chosen if settings is None else settings
     model = getattr(stable_baselines3, algorithm)("MlpPolicy", env, seed=first_seed, device="cpu", **chosen)
     begin_s, checked_s = time.monotonic(), 0.0
 
     def check(*_: object) -> bool:
         nonlocal checked_s
         now_s = time.monotonic()
-        found = measure(algorithm, model, 8, 10_000_000)
+        found = measure(task, algorithm, model, 8, 10_000_000)
         minutes = (now_s - begin_s - checked_s) / 60
+        error = f", flange error {found['error_mm']:5.1f} mm" if task == SINE else ""
         print(
-            f"{model.num_timesteps // rows:9} steps, {minutes:5.1f} min: return {found['return']:6.1f}, flange error "
-            f"{found['error_mm']:5.1f} mm, success {100 * found['success']:3.0f} %",
+            f"{model.num_timesteps // rows:9} steps, {minutes:5.1f} min: return {found['return']:6.1f}{error}, "
+            f"success {100 * found['success']:3.0f} %",
             flush=True,
         )
         checked_s += time.monotonic() - now_s
         return True
 
     # It counts rows.
-    model.learn(rows * steps, callback=EveryNTimesteps(rows * max(10_000, steps // 10), ConvertCallback(check)))
+    model.learn(rows * steps, callback=EveryNTimesteps(rows * max(10_000, steps // checks), ConvertCallback(check)))
     minutes = (time.monotonic() - begin_s - checked_s) / 60
     env.close()
-    return model, minutes
+    return model, model.num_timesteps // rows, minutes
 
 
 if __name__ == "__main__":
-    algorithm = sys.argv[1] if len(sys.argv) > 1 else "PPO"
-    steps = int(sys.argv[2]) if len(sys.argv) > 2 else STEPS[algorithm]
-    seed = int(sys.argv[4]) if len(sys.argv) > 4 else 0
-    folder = checkpoint.check_new(sys.argv[3] if len(sys.argv) > 3 else f"sine_{algorithm.lower()}")
-    model, minutes = train(algorithm, seed, steps)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("algorithm", nargs="?", default="PPO", choices=list(SETTINGS))
+    parser.add_argument("--task", default=SINE, choices=[SINE, *OBJECTS_STEPS])
+    parser.add_argument("--steps", type=int, default=0, help="of the environment; 0: as many as the curve has")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", help="new folder of the checkpoint")
+    args = parser.parse_args()
+    if args.task != SINE and args.algorithm != "PPO":
+        parser.error(f"{args.algorithm} has settings for {SINE} alone: choose PPO")
+    folder = checkpoint.check_new(args.out or f"{args.task.lower()}_{args.algorithm.lower()}")
+    model, _, minutes = train(args.algorithm, args.seed, args.steps, task=args.task)
     print(f"{minutes:.1f} min without the checks")
-    if algorithm == "TD3":
+    if args.algorithm == "TD3":
         model.save(folder)  # a pickle: read only your own
     else:  # a checkpoint holds numbers and text only, is checked against its environment, and runs without torch
-        agents = "joint" if algorithm == "PPO" else "shared"
-        checkpoint.save(folder, *converted(model, "DualUR10/SineTracking-v0", agents=agents, **SEEN))
+        agents = "joint" if args.task == SINE and args.algorithm == "PPO" else "shared"
+        seen = keywords_of(args.task)
+        checkpoint.save(folder, *converted(model, f"DualUR10/{args.task}-v0", agents=agents, **seen))
+        settings = " ".join(f"--set '{name}={json.dumps(value)}'" for name, value in seen.items())
+        print(f"python -m dual_ur10 evaluate {args.task} --policy {folder} {settings}")

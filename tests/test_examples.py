@@ -11,7 +11,7 @@ from tests import scripts
 
 FOLDER = Path(__file__).parent.parent / "examples"
 ARGUMENTS = {
-    "train_with_sb3": (("PPO", "1024", "sine_ppo"), "stable_baselines3"),
+    "train_with_sb3": (("PPO", "--steps", "1024", "--out", "sine_ppo"), "stable_baselines3"),
     "ppo": (("1024", "sine_ppo", "0", "2"), "torch"),
     "ppo_with_torchrl": (("1024", "sine_ppo", "0", "2"), "torchrl"),
     "pettingzoo_loop": (("20",), "pettingzoo"),

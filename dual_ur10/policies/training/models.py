@@ -125,7 +125,7 @@ def make(
         model: Any = _ppo(around, settings, seed, share)
         first = model.policy.mlp_extractor.policy_net[0]
     else:
-        model = _sac(around, settings, seed)
+        model = _sac(around, settings, seed, share)
         first = model.policy.actor.latent_pi[0]
     _hide(first, unseen)
     return model, around
@@ -154,12 +154,12 @@ def _ppo(env: VecEnv, settings: Reinforcement, seed: int, share: Callable[[], fl
     )
 
 
-def _sac(env: VecEnv, settings: Reinforcement, seed: int) -> Any:
+def _sac(env: VecEnv, settings: Reinforcement, seed: int, share: Callable[[], float]) -> Any:
     hidden = list(settings.hidden)
     model: Any = SAC(
         "MlpPolicy",
         env,
-        learning_rate=settings.learning_rate,
+        learning_rate=lambda _: settings.learning_rate * (1.0 - share()),
         gamma=settings.gamma,
         batch_size=settings.batch_size,
         buffer_size=settings.buffer_size,

@@ -56,7 +56,7 @@ class Reinforcement(StrictJson):
 
     Attributes:
         hidden: Units of each hidden layer.
-        learning_rate: Learning rate of Adam at the beginning. PPO: it decays linearly to 0.
+        learning_rate: Learning rate of Adam at the beginning. It decays linearly to 0.
         gamma: Discount of rewards per step.
         episode_steps: Steps after which an episode of the training is truncated; None: only the task ends it. Short
             episodes return an untrained policy to the reference before it has drifted far. The first ones end at

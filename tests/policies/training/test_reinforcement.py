@@ -382,6 +382,18 @@ def test_exploration_and_learning_rate_decay_over_the_whole_training(tmp_path, m
     assert np.all(np.diff(widths) <= 0)
 
 
+@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
+def test_the_learning_rate_falls_to_zero_with_the_share_that_is_done(algorithm):
+    env, done = TwoAgentVecEnv("SineTracking", 1, threads=1), [0.0]
+    asked = small(algorithm, changes={"learning_rate": 0.01})
+    model, _ = models.make(algorithm, env, asked.settings, 0, lambda: done[0])
+    env.close()
+    rates = []
+    for done[0] in (0.0, 0.25, 1.0):
+        rates.append(model.lr_schedule(1.0))
+    assert rates == pytest.approx([0.01, 0.0075, 0.0])
+
+
 def test_the_cost_of_refusals_grows_over_the_whole_training(tmp_path, monkeypatch):
     ratios = []
     real = Differences.step_wait

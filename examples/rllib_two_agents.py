@@ -68,7 +68,7 @@ def ppo(iterations: int) -> PPOConfig:
     )
 
 
-def two_agents(iterations: int = 800) -> PPOConfig:
+def two_agents(iterations: int = 1200) -> PPOConfig:
     """Use the PettingZoo interface: a policy for each arm."""
     register_env("two_arms", lambda config: ParallelPettingZooEnv(parallel_env("SineTracking", **config)))
     config = ppo(iterations).environment("two_arms", env_config={"reward": "individual", "max_cycles": SHORT, **SEEN})
@@ -76,7 +76,7 @@ def two_agents(iterations: int = 800) -> PPOConfig:
     return config.multi_agent(policies={"left", "right"}, policy_mapping_fn=lambda agent, episode, **keywords: agent)
 
 
-def joint_policy(iterations: int = 800) -> PPOConfig:
+def joint_policy(iterations: int = 1200) -> PPOConfig:
     """Use the Gymnasium interface: one policy for both arms. The part before the colon registers the id."""
     keywords = {"max_episode_steps": SHORT, **SEEN}
     return ppo(iterations).environment("dual_ur10:DualUR10/SineTracking-v0", env_config=keywords)
@@ -97,7 +97,7 @@ def save(algorithm: Algorithm, folder: str) -> None:
 
 
 if __name__ == "__main__":
-    iterations = int(sys.argv[1]) if len(sys.argv) > 1 else 800
+    iterations = int(sys.argv[1]) if len(sys.argv) > 1 else 1200
     joint = sys.argv[2:3] == ["joint"]
     folder = None if joint else checkpoint.check_new(sys.argv[3] if len(sys.argv) > 3 else "sine_rllib")
     ray.init("local", num_cpus=RUNNERS, include_dashboard=False)

@@ -57,25 +57,25 @@ SETTINGS: dict[str, dict[str, Any]] = {
 STEPS = {"PPO": 600_000, "SAC": 60_000, "TD3": 60_000}
 
 # PPO on the tasks with objects: one policy for either arm, steps of the tools, wider exploration.
-OBJECTS: dict[str, Any] = {
-    "observation": "goals",
-    "action_mode": "tcp_delta",
-    "action_scale": {"translation": 0.5, "rotation": 0.5},
+OBJECTS: dict[str, Any] = {"observation": "goals", "action_mode": "tcp_delta"}
+OBJECTS_SEEN: dict[str, dict[str, Any]] = {
+    "Handover": OBJECTS,
+    "SyncCarry": {**OBJECTS, "action_scale": {"translation": 0.5, "rotation": 0.5}},
 }
 OBJECTS_SETTINGS: dict[str, Any] = {
     "learning_rate": lambda left: 5e-4 * left,
     "gamma": 0.95,
     "n_steps": 32,
     "batch_size": 1024,
-    "policy_kwargs": {"log_std_init": -0.9},
 }
-OBJECTS_STEPS = {"Handover": 1_500_000, "SyncCarry": 1_000_000}
+OBJECTS_LOG_STD = {"Handover": -1.3, "SyncCarry": -0.9}
 OBJECTS_SHORT = {"Handover": 500, "SyncCarry": 900}
+OBJECTS_STEPS = {"Handover": 1_500_000, "SyncCarry": 1_000_000}
 
 
 def keywords_of(task: str) -> dict[str, Any]:
     """Return the keywords of the environment that make a task easy to explore."""
-    return SEEN if task == SINE else OBJECTS
+    return SEEN if task == SINE else OBJECTS_SEEN[task]
 
 
 def cells(task: str, algorithm: str, number: int, reward: str = "individual", **keywords: Any) -> CellsVecEnv:
@@ -118,7 +118,8 @@ def train(
     if task == SINE:
         chosen, most, short = SETTINGS[algorithm], STEPS[algorithm], SHORT
     else:
-        chosen, most, short = OBJECTS_SETTINGS, OBJECTS_STEPS[task], OBJECTS_SHORT[task]
+        chosen = {**OBJECTS_SETTINGS, "policy_kwargs": {"log_std_init": OBJECTS_LOG_STD[task]}}
+        most, short = OBJECTS_STEPS[task], OBJECTS_SHORT[task]
     number, steps = number or CELLS[algorithm], steps or most
     env = cells(task, algorithm, number, max_episode_steps=short)
     rows = env.num_envs // number

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from pathlib import Path
 
@@ -45,6 +46,16 @@ def test_it_runs(name, tmp_path):
         assert read_manifest(tmp_path / "folder" / "sine_ppo").signature.env_id == "DualUR10/SineTracking-v0"
     if name == "collect_dataset":
         assert "2 episodes" in text
+
+
+def test_stock_learners_train_the_tasks_with_objects_too(tmp_path):
+    pytest.importorskip("stable_baselines3")
+    run = functools.partial(scripts.run, FOLDER / "train_with_sb3.py", folder=tmp_path)
+    text = run("--task", "SyncCarry", "--steps", "64", "--out", "carry", output=tmp_path / "output")
+    assert f"evaluate SyncCarry --policy {tmp_path / 'carry'} --set 'observation=" in text.splitlines()[-1]
+    from dual_ur10.policies.learned.checkpoint import read_manifest
+
+    assert read_manifest(tmp_path / "carry").agents == "shared"
 
 
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("*.py")), ids=lambda path: path.stem)

@@ -271,7 +271,7 @@ SINE_TRACKING: Final = TaskSettings(
         reward="individual",
     ),
     sac=Reinforcement(
-        hidden=(64, 64),
+        hidden=(256, 256),
         learning_rate=1e-3,
         gamma=0.9,
         episode_steps=100,

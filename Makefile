@@ -76,7 +76,7 @@ $(OLDEST)/.dev: pyproject.toml constraints-oldest.txt | check-python
 $(RLLIB)/.dev: pyproject.toml constraints-rllib.txt | check-python
 	@echo "Installing dual-ur10 with Ray RLlib into $(RLLIB) ..."
 	@test -x $(RLLIB)/bin/python || $(PYTHON) -m venv $(RLLIB)
-	@$(RLLIB)/bin/python -m pip install $(PIP_FLAGS) -c constraints-rllib.txt -e '.[rllib]' psutil pytest
+	@$(RLLIB)/bin/python -m pip install $(PIP_FLAGS) -c constraints-rllib.txt -e '.[rllib]' hypothesis psutil pytest
 	@touch $@
 
 # Clients of UR controllers by others. One of them needs a NumPy that nothing else takes.

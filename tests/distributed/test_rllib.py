@@ -97,10 +97,10 @@ class Watched:
 
 @pytest.mark.parametrize(("way", "names"), [("two", ["left", "right"]), ("joint", ["both"])])
 def test_the_example_trains_on_two_workers_of_this_machine_and_leaves_nothing(way, names, tmp_path):
-    found = Watched(EXAMPLE, "1", way, home=tmp_path)
+    found = Watched(EXAMPLE, "2", way, home=tmp_path)  # no episode ends in the first batch
     assert found.left == []
     assert len(found.workers) == 2, found.workers
-    (line,) = re.findall(r"^1 \{(.*)\}$", found.output, re.MULTILINE)
+    (line,) = re.findall(r"^2 \{(.*)\}$", found.output, re.MULTILINE)
     returns = {name: float(value) for name, value in re.findall(r"'(\w+)': ([^,]+)", line)}
     assert sorted(returns) == names
     assert all(math.isfinite(value) for value in returns.values())

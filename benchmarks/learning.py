@@ -229,7 +229,7 @@ def stock(env_id: str, episodes: int, seeds: int, learners: Iterable[str]) -> di
     script = earned.pop("script")
     result: dict[str, Any] = {f"{name}_ratio": each / script for name, each in earned.items()}
     print(f"{env_id}: {json.dumps(result)}", flush=True)
-    task = env_id.removeprefix("DualUR10/").removesuffix("-v0")
+    task = env_id.split("/")[1].rsplit("-v", 1)[0]
     for name in learners:
         if task != example.SINE and name != "snippet":
             continue
@@ -237,8 +237,8 @@ def stock(env_id: str, episodes: int, seeds: int, learners: Iterable[str]) -> di
         for seed in range(seeds):
             print(f"{env_id}, {name}, seed {seed}, load {os.getloadavg()[0]:.1f}", flush=True)
             model, steps, minutes = example.train(seed=seed, task=task, **STOCK[name])
-            measured_now = example.measure(task, STOCK[name]["algorithm"], model, episodes, 0)
-            found = {key: float(each) for key, each in measured_now.items()}
+            means = example.measure(task, STOCK[name]["algorithm"], model, episodes, 0)
+            found = {key: float(each) for key, each in means.items()}
             found |= {"return_ratio": found["return"] / script, "minutes": minutes, "steps": steps}
             print(json.dumps(found), flush=True)
             rows.append(found)

@@ -1,7 +1,8 @@
 """Stock Stable-Baselines3, from scratch: python examples/train_with_sb3.py [PPO|SAC|TD3] [--task SineTracking].
 
 It prints the curve of its training: what the policy does without exploration, in whole episodes that it does not learn
-from. The result is a checkpoint, with PPO and SAC; the last line evaluates it.
+from. The result is a checkpoint, with PPO and SAC; the last line that it prints is the
+command that evaluates it.
 """
 
 import argparse
@@ -111,7 +112,6 @@ def train(
     settings: dict[str, Any] | None = None,
     number: int = 0,
     task: str = SINE,
-    checks: int = 10,
 ) -> tuple[BaseAlgorithm, int, float]:
     """Train, print the curve, and return the model, its steps, and the minutes without those of the checks."""
     torch.set_num_threads(1)  # the cells use the others
@@ -120,12 +120,12 @@ def train(
     else:
         chosen = {**OBJECTS_SETTINGS, "policy_kwargs": {"log_std_init": OBJECTS_LOG_STD[task]}}
         most, short = OBJECTS_STEPS[task], OBJECTS_SHORT[task]
+    chosen = chosen if settings is None else settings
     number, steps = number or CELLS[algorithm], steps or most
     env = cells(task, algorithm, number, max_episode_steps=short)
     rows = env.num_envs // number
     # It learns from episodes with this seed and those that follow.
     first_seed = 1_000_000_000 + 1_000_000 * seed
-    chosen = chosen if settings is None else settings
     model = getattr(stable_baselines3, algorithm)("MlpPolicy", env, seed=first_seed, device="cpu", **chosen)
     begin_s, checked_s = time.monotonic(), 0.0
 
@@ -144,7 +144,7 @@ def train(
         return True
 
     # It counts rows.
-    model.learn(rows * steps, callback=EveryNTimesteps(rows * max(10_000, steps // checks), ConvertCallback(check)))
+    model.learn(rows * steps, callback=EveryNTimesteps(rows * max(10_000, steps // 10), ConvertCallback(check)))
     minutes = (time.monotonic() - begin_s - checked_s) / 60
     env.close()
     return model, model.num_timesteps // rows, minutes

@@ -16,6 +16,7 @@ from dual_ur10.cli.options import (
     OneArm,
     Perturbed,
     PowerOn,
+    Randomization,
     Seed,
     Settings,
     check_extras,
@@ -25,6 +26,7 @@ from dual_ur10.cli.options import (
     keywords_of,
     make,
     power_on,
+    randomize,
 )
 from dual_ur10.envs.rendering.live.guard import PORT
 from dual_ur10.errors import SettingsError
@@ -84,6 +86,7 @@ def live(
     seconds: Annotated[float | None, typer.Option("--seconds", min=0.1, help="Stop after this time.")] = None,
     seed: Seed = 0,
     settings: Settings = None,
+    randomization: Randomization = None,
     perturbed: Perturbed = False,
 ) -> None:
     """Watch and lead both arms in a page on this machine: in 3D, with plots, handles, and a button that stops both."""
@@ -100,6 +103,7 @@ def live(
     if watches and (policy is not None or power):
         raise SettingsError("--policy and --power-on command the arms of a cell: add --command, or leave them out")
     keywords = keywords_of(settings, perturbed, cell, arm)
+    randomize(keywords, randomization)
     check_extras(PAGE_EXTRA, cell=cell, devices=[operator], moves=not watches)
     setup = setup_for(env, policy, keywords)
     buttons = () if watches else buttons_of(setup, takes=policy is not None and operator != NOBODY)

@@ -3,41 +3,122 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
-from typing import Annotated, Any
+from collections.abc import Iterator, Mapping
+from functools import cache
+from importlib import import_module
+from typing import Annotated, Any, Final
 
 import gymnasium as gym
 import typer
 from rich.markup import escape
 
-from dual_ur10.cli import cell
-from dual_ur10.cli.demo import demo
-from dual_ur10.cli.doctor import doctor, repeatability
-from dual_ur10.cli.emulate import emulate
-from dual_ur10.cli.evaluate import evaluate
-from dual_ur10.cli.follow import follow, follow_points, follow_serial
-from dual_ur10.cli.list import list_environments
-from dual_ur10.cli.live import live
-from dual_ur10.cli.new_task import new_task
 from dual_ur10.cli.options import at_end, console, errors, example_of
-from dual_ur10.cli.records import compare, fit, replay
-from dual_ur10.cli.rollout import rollout
-from dual_ur10.cli.status import status
-from dual_ur10.cli.teach import teach
-from dual_ur10.cli.train import collect, convert, train
-from dual_ur10.cli.video import video
-from dual_ur10.cli.view import view
 from dual_ur10.errors import DualUR10Error
 from dual_ur10.ids import __version__
 from dual_ur10.sim2real.processes.interrupts import begin_program, end_interrupted
-from dual_ur10.sim2real.recording import run_folder
 
 USAGE_ERROR = 2
 """Exit code of every error of this package."""
 
 
-class _Commands(typer.core.TyperGroup):
+_COMMANDS: Final[dict[str, dict[str, str]]] = {
+    "Simulate": {
+        "list": "list:list_environments",
+        "demo --quick": "demo:demo",
+        "view Handover --policy learned": "view:view",
+        "live Handover --policy scripted": "live:live",
+        "video Handover --policy learned --cameras front,left/wrist,right/wrist -o handover.mp4": "video:video",
+        "rollout Handover --episodes 3 --randomization mild": "rollout:rollout",
+        "evaluate SineTracking --policy learned --randomization mild --json sine.json": "evaluate:evaluate",
+        "new-task PegInsertion": "new_task:new_task",
+    },
+    "Learn": {
+        "train SineTracking --algo ppo --out sine": "train:train",
+        "collect SyncCarry --episodes 200 --randomization mild": "train:collect",
+        "convert model.zip SineTracking --out sine --trust-pickle": "train:convert",
+    },
+    "Controllers, emulated or real": {
+        "emulate --cell cell.toml --view": "emulate:emulate",
+        "doctor cell.toml": "doctor:doctor",
+        "status cell.toml": "status:status",
+        "follow --to home --cell cell.toml": "follow:follow",
+        "follow-points points.csv --cell cell.toml --rate 10": "follow:follow_points",
+        "follow-serial points.csv --port /dev/ttyACM0 --at-start": "follow:follow_serial",
+        "teach points.csv --cell cell.toml": "teach:teach",
+        "repeatability --paths 5 --perturbed": "doctor:repeatability",
+        "cell": "cell:app",
+    },
+    "Records": {
+        "replay runs/RUN": "records:replay",
+        "compare runs/RUN_A runs/RUN_B": "records:compare",
+        "fit runs/RUN --write cell.toml": "records:fit",
+    },
+}
+"""Examples of the commands, and "module:function" of each, by the panel of the help that lists them."""
+
+
+class _Plain:
+    """Mixin of commands with whole summaries, and help that shows no type beside flags, which take no value."""
+
+    def get_short_help_str(self, limit: int = 1000) -> str:
+        return str(super().get_short_help_str(limit))  # type: ignore[misc]  # of Typer's command
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        found: list[Any] = super().get_params(ctx)  # type: ignore[misc]  # the same
+        for each in found:
+            if getattr(each, "is_bool_flag", False):
+                each.metavar = ""
+        return found
+
+
+class _Command(_Plain, typer.core.TyperCommand):
+    """One command."""
+
+
+class _Group(_Plain, typer.core.TyperGroup):
+    """Commands of one noun."""
+
+
+class _Loaded(Mapping[str, Any]):
+    """Commands by name, each imported on first use: to import all of them takes longer than to answer a typo."""
+
+    _WHERE: Final = {
+        example.split()[0]: (panel, example, path)
+        for panel, commands in _COMMANDS.items()
+        for example, path in commands.items()
+    }
+
+    @staticmethod
+    @cache
+    def _load(name: str) -> Any:
+        panel, example, path = _Loaded._WHERE[name]
+        module, _, attribute = path.partition(":")
+        found = getattr(import_module(f"dual_ur10.cli.{module}"), attribute)
+        holder = typer.Typer(add_completion=False, rich_markup_mode="rich")
+        if isinstance(found, typer.Typer):
+            for each in found.registered_commands:
+                each.cls = _Command
+            holder.add_typer(found, cls=_Group, name=name, rich_help_panel=panel)
+            return typer.main.get_group(holder).commands[name]
+        holder.command(name, cls=_Command, rich_help_panel=panel, epilog=example_of(example))(found)
+        return typer.main.get_command(holder)
+
+    def __getitem__(self, name: str) -> Any:
+        return self._load(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._WHERE)
+
+    def __len__(self) -> int:
+        return len(self._WHERE)
+
+
+class _Commands(_Group):
     """Commands whose package errors, and Ctrl-C where a command does not handle it, end in one line each."""
+
+    def __init__(self, **attributes: Any) -> None:
+        super().__init__(**attributes)
+        self.commands = _Loaded()  # type: ignore[assignment]  # nothing is added later
 
     def invoke(self, ctx: Any) -> Any:
         try:
@@ -57,7 +138,7 @@ class _Shown(logging.Handler):
         console.print(record.getMessage(), highlight=False, soft_wrap=True, markup=False)
 
 
-_RECORDING = logging.getLogger(run_folder.__name__)
+_RECORDING = logging.getLogger("dual_ur10.sim2real.recording.run_folder")
 _SHOWN = _Shown()
 
 app = typer.Typer(
@@ -81,46 +162,6 @@ def _options(
     _RECORDING.addHandler(_SHOWN)
     ctx.call_on_close(lambda: _RECORDING.removeHandler(_SHOWN))  # what records later in this process shows nothing
     _RECORDING.setLevel(logging.INFO)
-
-
-_COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
-    "Simulate": {
-        "list": list_environments,
-        "demo --quick": demo,
-        "view Handover --policy learned": view,
-        "live Handover --policy scripted": live,
-        "video Handover --policy learned --cameras front,left/wrist,right/wrist -o handover.mp4": video,
-        "rollout Handover --episodes 3 --set randomization=mild": rollout,
-        "evaluate SineTracking --policy learned --randomization mild --json sine.json": evaluate,
-        "new-task PegInsertion": new_task,
-    },
-    "Learn": {
-        "train SineTracking --algo ppo --out sine": train,
-        "collect SyncCarry --episodes 200 --randomization mild": collect,
-        "convert model.zip SineTracking --out sine --trust-pickle": convert,
-    },
-    "Controllers, emulated or real": {
-        "emulate --cell cell.toml --view": emulate,
-        "doctor cell.toml": doctor,
-        "status cell.toml": status,
-        "follow --to home --cell cell.toml": follow,
-        "follow-points points.csv --cell cell.toml --rate 10": follow_points,
-        "follow-serial points.csv --port /dev/ttyACM0 --at-start": follow_serial,
-        "teach points.csv --cell cell.toml": teach,
-        "repeatability --paths 5 --perturbed": repeatability,
-    },
-    "Records": {
-        "replay runs/RUN": replay,
-        "compare runs/RUN_A runs/RUN_B": compare,
-        "fit runs/RUN --write cell.toml": fit,
-    },
-}
-"""Commands by the panel of the help that lists them, each with an example."""
-
-for panel, commands in _COMMANDS.items():
-    for example, command in commands.items():
-        app.command(example.split()[0], rich_help_panel=panel, epilog=example_of(example))(command)
-app.add_typer(cell.app, name="cell", rich_help_panel="Controllers, emulated or real")
 
 
 def main() -> None:

@@ -20,6 +20,7 @@ from dual_ur10.cli.options import (
     Perturbed,
     PolicyName,
     PowerOn,
+    Randomization,
     Record,
     Seed,
     Settings,
@@ -37,6 +38,7 @@ from dual_ur10.cli.options import (
     on_virtual,
     power_on,
     progress_of,
+    randomize,
     record_in,
 )
 from dual_ur10.ids import env_id_of
@@ -56,6 +58,7 @@ def rollout(
     seed: Seed = 0,
     min_success: MinSuccess = None,
     settings: Settings = None,
+    randomization: Randomization = None,
     perturbed: Perturbed = False,
     cell: CellName = None,
     arm: OneArm = None,
@@ -69,6 +72,7 @@ def rollout(
     check_min_success(min_success)
     check_extras(cell=cell, devices=[operator, takeover])
     keywords = keywords_of(settings, perturbed, on_virtual(cell, env_id_of(env)), arm)
+    randomize(keywords, randomization)
     if power:
         power_on(cell)
     if not no_record:

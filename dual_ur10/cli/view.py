@@ -7,7 +7,18 @@ from typing import Annotated
 import typer
 
 from dual_ur10.cli.live import NOBODY, PAGE_EXTRA, Cameras, Port, buttons_of, lead, policies_of, setup_for
-from dual_ur10.cli.options import POLICIES, EnvName, Perturbed, Seed, Settings, check_extras, console, keywords_of
+from dual_ur10.cli.options import (
+    POLICIES,
+    EnvName,
+    Perturbed,
+    Randomization,
+    Seed,
+    Settings,
+    check_extras,
+    console,
+    keywords_of,
+    randomize,
+)
 from dual_ur10.envs.rendering.live.guard import PORT
 from dual_ur10.errors import SettingsError
 
@@ -31,6 +42,7 @@ def view(
     seconds: Annotated[float | None, typer.Option("--seconds", min=0.1, help="Stop after this time.")] = None,
     seed: Seed = 0,
     settings: Settings = None,
+    randomization: Randomization = None,
     perturbed: Perturbed = False,
 ) -> None:
     """Watch policies in a browser on this machine: pause, step, slow down, switch between them. Simulation only."""
@@ -38,6 +50,7 @@ def view(
 
     check_extras(PAGE_EXTRA)
     keywords = keywords_of(settings, perturbed)
+    randomize(keywords, randomization)
     policies = policies_of(env, policy or ["scripted"])
     setup = setup_for(env, policies[0], keywords)
     if setup.config.controllers:

@@ -39,8 +39,8 @@ _MARKS = {"ok": "[green]ok[/]", "warn": "[yellow]warn[/]", "fail": "[bold red]fa
 
 
 def doctor(
-    file: Annotated[
-        Path | None, typer.Argument(metavar="FILE", help="A cell file; without one, name both addresses.")
+    cell: Annotated[
+        Path | None, typer.Option("--cell", metavar="FILE", help="A cell file; without one, name both addresses.")
     ] = None,
     left: Left = None,
     right: Right = None,
@@ -54,13 +54,13 @@ def doctor(
     from dual_ur10.sim2real.commissioning.doctor import check_cell, check_file
     from dual_ur10.sim2real.commissioning.findings import ExpectedArm, any_fails
 
-    if file is not None and left is None and right is None:
-        findings = check_file(load_cell_file(file))
-    elif file is None and left is not None and right is not None:
+    if cell is not None and left is None and right is None:
+        findings = check_file(load_cell_file(cell))
+    elif cell is None and left is not None and right is not None:
         controllers = cast(Family, family_of(family, robot))
         findings = check_cell(*(ExpectedArm(host=host, family=controllers, model=robot) for host in (left, right)))
     else:
-        raise SettingsError("name either a cell file, or both addresses with --left and --right")
+        raise SettingsError("name either a cell file with --cell, or both addresses with --left and --right")
     if as_json:
         typer.echo(json.dumps([_row(each) for each in findings], indent=1))
     else:

@@ -11,7 +11,8 @@ import typer
 from dual_ur10.cli.options import (
     POLICIES,
     STOP_COMMANDED,
-    CellFileName,
+    VIRTUAL,
+    CellName,
     EnvName,
     OneArm,
     Perturbed,
@@ -25,6 +26,7 @@ from dual_ur10.cli.options import (
     errors,
     keywords_of,
     make,
+    on_virtual,
     power_on,
     randomize,
 )
@@ -74,7 +76,7 @@ def live(
             "arguments, as for rollout.",
         ),
     ] = PAGE,
-    cell: CellFileName = None,
+    cell: CellName = None,
     command: Annotated[
         bool,
         typer.Option("--command", help="With --cell: let the page command both arms. It only watches without."),
@@ -99,12 +101,12 @@ def live(
         device_class(operator)  # an unknown name is refused before a page is started
     if command and cell is None:
         raise SettingsError("--command is for two controllers: name their cell file with --cell")
-    watches = cell is not None and str(cell) != "echo" and not command
+    watches = cell is not None and str(cell) not in ("echo", VIRTUAL) and not command
     if watches and (policy is not None or power):
         raise SettingsError("--policy and --power-on command the arms of a cell: add --command, or leave them out")
-    keywords = keywords_of(settings, perturbed, cell, arm)
-    randomize(keywords, randomization)
     check_extras(PAGE_EXTRA, cell=cell, devices=[operator], moves=not watches)
+    keywords = keywords_of(settings, perturbed, on_virtual(cell, env_id_of(env)), arm)
+    randomize(keywords, randomization)
     setup = setup_for(env, policy, keywords)
     buttons = () if watches else buttons_of(setup, takes=policy is not None and operator != NOBODY)
     policies = () if policy is None or setup.config.controllers else policies_of(env, [policy])

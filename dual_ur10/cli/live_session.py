@@ -104,7 +104,7 @@ class LiveSession:
             # Against the clock, not from step to step, so that delays do not add up.
             now_s = time.monotonic()
             due_s = max(due_s + (self._period_s / self._speed if moved else _IDLE_S), now_s - _DROPPED_S)
-            if self._controllers and moved:
+            if self._core.setup.keeps_time and moved:
                 due_s = now_s  # the controllers keep the time
             time.sleep(max(0.0, due_s - now_s))
 

@@ -39,8 +39,8 @@ _COMMANDS: Final[dict[str, dict[str, str]]] = {
     },
     "Controllers, emulated or real": {
         "emulate --cell cell.toml --view": "emulate:emulate",
-        "doctor cell.toml": "doctor:doctor",
-        "status cell.toml": "status:status",
+        "doctor --cell cell.toml": "doctor:doctor",
+        "status --cell cell.toml": "status:status",
         "follow --to home --cell cell.toml": "follow:follow",
         "follow-points points.csv --cell cell.toml --rate 10": "follow:follow_points",
         "follow-serial points.csv --port /dev/ttyACM0 --at-start": "follow:follow_serial",

@@ -92,12 +92,6 @@ Randomization = Annotated[
     str | None,
     typer.Option("--randomization", metavar="PRESET", help="Randomization of each episode: none, mild or wide."),
 ]
-CellFileName = Annotated[
-    Path | None,
-    typer.Option(
-        "--cell", metavar="FILE", help="A cell file: run on its two controllers, not in MuJoCo. Or echo: a dry run."
-    ),
-]
 CellName = Annotated[
     Path | None,
     typer.Option(

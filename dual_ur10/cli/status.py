@@ -26,16 +26,16 @@ _GROUPS: Final = ((0, 8), (8, 8), (16, 2))  # bits of digital inputs and outputs
 
 
 def status(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A cell file.")],
+    cell: Annotated[Path, typer.Option("--cell", metavar="FILE", help="A cell file.")],
     once: Annotated[bool, typer.Option("--once", help="Print the state once. Exit code 1 if an arm is lost.")] = False,
     seconds: Annotated[float | None, typer.Option("--seconds", min=0.1, help="Stop after this time.")] = None,
 ) -> None:
     """Show both arms live: modes, power, currents, temperatures, joints, inputs and outputs. Read-only."""
     from dual_ur10.cli.status_view import StatusView
 
-    cell = load_cell_file(file)
+    file = load_cell_file(cell)
     clock = LOCAL.clock
-    arms = [StatusView(name, arm, system=LOCAL) for name, arm in zip(ARMS, cell.arms, strict=True)]
+    arms = [StatusView(name, arm, system=LOCAL) for name, arm in zip(ARMS, file.arms, strict=True)]
     try:
         end_s = clock.now_s() + _FIRST_S
         for arm in arms:

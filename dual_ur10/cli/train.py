@@ -14,7 +14,7 @@ from rich.markup import escape
 
 from dual_ur10.cli.options import (
     RUNS,
-    CellFileName,
+    CellName,
     EnvName,
     OneArm,
     OperatorName,
@@ -31,6 +31,7 @@ from dual_ur10.cli.options import (
     keywords_of,
     make,
     make_operator,
+    on_virtual,
     progress_of,
     randomize,
     record_in,
@@ -308,7 +309,7 @@ def collect(
     envs: Annotated[int, typer.Option("--envs", min=1, help="Number of cells stepped together.")] = 16,
     randomization: Randomization = None,
     settings: Settings = None,
-    cell: CellFileName = None,
+    cell: CellName = None,
     arm: OneArm = None,
     record: Record = RUNS,
     author: Annotated[str | None, typer.Option("--author", help="Kept in the dataset.")] = None,
@@ -323,9 +324,10 @@ def collect(
     """
     from dual_ur10.policies.training.dataset import collect as run
 
-    env_id, keywords = env_id_of(env), keywords_of(settings, False, cell, arm)
-    randomize(keywords, randomization)
     check_extras(("data", "a dataset"), cell=cell, devices=[operator, takeover])
+    env_id = env_id_of(env)
+    keywords = keywords_of(settings, False, on_virtual(cell, env_id), arm)
+    randomize(keywords, randomization)
     source = "operator" if operator or takeover else Path(policy).name
     name = dataset or f"dual-ur10/{env_id.split('/')[1].rsplit('-v', 1)[0].lower()}/{source}-v0"
     if operator or takeover:

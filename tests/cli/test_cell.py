@@ -126,7 +126,7 @@ def test_doctor_shows_problems_first_the_worst_before_the_others(
     levels = {"first": "ok", "second": "warn", "third": "ok", "worst": "fail"}
     found = [Finding("left", name, level, "a", "b", "do it") for name, level in levels.items()]  # type: ignore[arg-type]
     monkeypatch.setattr("dual_ur10.sim2real.commissioning.doctor.check_file", lambda cell: found)
-    code, text = command.run("doctor", str(path))
+    code, text = command.run("doctor", "--cell", str(path))
     assert code == 1
     assert re.findall("first|second|third|worst", text) == ["worst", "second", "first", "third"]
     assert text.count("do it") == 2  # remedies of problems alone

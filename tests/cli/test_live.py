@@ -1,6 +1,7 @@
 """The command `live` without a browser: what its loops do with handles and buttons, and what it refuses."""
 
 import contextlib
+import time
 import types
 import webbrowser
 from unittest.mock import MagicMock
@@ -323,21 +324,27 @@ def test_seeds_count_up_and_a_reset_repeats_one(drive):
 
 def test_the_speed_is_that_of_its_button(drive, monkeypatch):
     driver = watching(drive)
-    slept, turns, turn = [], iter(range(2)), driver.session.turn
+    driver.press("speed_4")
+    assert slept_in(driver, 2, monkeypatch) == pytest.approx([0.01, 0.02])
+    assert driver.words["episode"].endswith(", 4× speed")
+
+
+def slept_in(driver, count, monkeypatch):
+    """Times for which the loop sleeps after each of its turns, while the clock stands."""
+    slept, turns, turn = [], iter(range(count)), driver.session.turn
 
     def turned():
         next(turns)
         return turn()
 
     stopped = types.SimpleNamespace(monotonic=lambda: 0.0, sleep=slept.append)
-    monkeypatch.setattr("dual_ur10.cli.live_session.time", stopped)
-    monkeypatch.setattr(LivePage, "is_running", True)
-    monkeypatch.setattr(driver.session, "turn", turned)
-    driver.press("speed_4")
-    with pytest.raises(StopIteration):
-        driver.session.run(None)
-    assert slept == pytest.approx([0.01, 0.02])
-    assert driver.words["episode"].endswith(", 4× speed")
+    with monkeypatch.context() as patch:
+        patch.setattr("dual_ur10.cli.live_session.time", stopped)
+        patch.setattr(LivePage, "is_running", True)
+        patch.setattr(driver.session, "turn", turned)
+        with pytest.raises(StopIteration):
+            driver.session.run(None)
+    return slept
 
 
 def test_another_policy_acts_from_the_beginning_in_an_environment_that_fits_it(drive):
@@ -402,7 +409,9 @@ def test_a_button_latches_a_stop_of_a_virtual_cell(drive, monkeypatch):
                 page_module.page_device(EnvSetup.resolve("SineTracking", keywords))
         assert found == [(), ("stop",)]  # nothing in a simulation would act on it
         driver = drive(task="SineTracking", policy="scripted", cell=cell)
-        driver.turn(10)
+        assert slept_in(driver, 3, monkeypatch) == pytest.approx([0.04, 0.08, 0.12])
+        assert operator_with(driver.device, driver.core.setup, paced=True)._clock is time.monotonic  # as in simulation
+        driver.turn(7)
         assert driver.words["gate"] == "releases all"
         driver.press("stop")
         driver.turn(3)
@@ -410,7 +419,7 @@ def test_a_button_latches_a_stop_of_a_virtual_cell(drive, monkeypatch):
         assert driver.words["program"].startswith("LATCHED")
         driver.press("reset")
         driver.turn(3)
-        assert driver.session.shown.episode == 0  # a person clears it, not the page
+        assert driver.session.shown.episode == 1  # a person clears it, not the page
 
 
 def test_a_page_that_is_gone_stops_both_arms_of_a_virtual_cell(drive, monkeypatch):

@@ -101,10 +101,25 @@ def test_help_lists_commands_and_options(command: tuple[str, ...], words: tuple[
     assert code == 0
     for word in words:
         assert word in text
+    assert "<bool>" not in text  # flags take no value
 
 
 def test_version() -> None:
     assert run("--version") == (0, __version__ + "\n")
+
+
+def test_neither_the_version_nor_a_typo_waits_for_the_commands() -> None:
+    code = """
+import contextlib, sys
+from dual_ur10.cli.main import app
+for arguments in (["--version"], ["rollot"]):
+    with contextlib.suppress(SystemExit):
+        app(arguments)
+print(sorted(each for each in sys.modules if each.startswith(("dual_ur10.cli.", "mujoco", "viser", "torch", "scipy"))))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=WAIT_S, check=True)
+    assert done.stdout.splitlines() == [__version__, "['dual_ur10.cli.main', 'dual_ur10.cli.options']"]
+    assert "Did you mean 'rollout'" in done.stderr
 
 
 @pytest.mark.parametrize("name", ["DualUR10/SineTracking-v0", "SineTracking-v0", "SineTracking"])

@@ -46,7 +46,7 @@ def show(made, monkeypatch):
     monkeypatch.setattr("dual_ur10.cli.status.console._width", 160)
 
     def run(*arguments, file=path):
-        result = CliRunner().invoke(app, [str(file), *arguments])
+        result = CliRunner().invoke(app, ["--cell", str(file), *arguments])
         if result.exception is not None and not isinstance(result.exception, SystemExit):
             raise result.exception
         return re.sub(r"\x1b\[[0-9;]*m", "", result.output), result.exit_code

@@ -14,11 +14,11 @@ def test_a_cell_file_states_what_is_expected(tmp_path, monkeypatch):
     monkeypatch.setattr(doctor, "stream_findings", lambda *_, **__: [])
     file = tmp_path / "cell.toml"
     with EmulatedCell(plant="nominal", cell=str(file)) as cell:
-        done = CliRunner().invoke(cli.app, ["doctor", str(file)], env={"COLUMNS": "250"})
+        done = CliRunner().invoke(cli.app, ["doctor", "--cell", str(file)], env={"COLUMNS": "250"})
         assert done.exit_code == 0, done.output
         file.write_text(re.sub(r'serial_number = "[^"]*"', 'serial_number = "12345"', file.read_text(), count=1))
-        done = CliRunner().invoke(cli.app, ["doctor", str(file)], env={"COLUMNS": "250"})
+        done = CliRunner().invoke(cli.app, ["doctor", "--cell", str(file)], env={"COLUMNS": "250"})
         assert done.exit_code == 1
         assert "12345" in done.output
-        for arguments in ([], ["--left", cell.left], [str(file), "--left", cell.left]):
+        for arguments in ([], ["--left", cell.left], ["--cell", str(file), "--left", cell.left]):
             assert CliRunner().invoke(cli.app, ["doctor", *arguments]).exit_code == 2

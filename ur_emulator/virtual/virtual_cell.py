@@ -190,6 +190,9 @@ class VirtualCell(CellRequests):
         """Clear the latched stop, as `cell clear` does. A stopped environment must be made again."""
         self.latch.clear()
 
+    def __repr__(self) -> str:
+        return f"VirtualCell(task={self.emulator.options.task!r})"
+
     def __deepcopy__(self, memo: Any) -> Self:
         """Return itself: Gymnasium copies the keywords of environments."""
         return self

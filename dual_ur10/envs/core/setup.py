@@ -126,6 +126,11 @@ class EnvSetup:
         return setup
 
     @property
+    def keeps_time(self) -> bool:
+        """True if steps take the time of day; False: as long as they are computed, as in MuJoCo or a virtual cell."""
+        return self.config.controllers and self.system is LOCAL
+
+    @property
     def brakes(self) -> bool:
         """True if an episode continues after a motion that the safety gate refused."""
         wanted = self.options.on_refusal

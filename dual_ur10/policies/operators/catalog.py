@@ -153,7 +153,7 @@ def operator_with(
         device: The device.
         setup: The environment.
         mapping: Settings between hands and arms.
-        paced: Let actions wait for the time of day in a simulation, which else runs faster than a person can follow.
+        paced: Let actions wait for the time of day where steps are faster than a person can follow.
         keys: Read the buttons from the keyboard of the terminal, too, if there is one and the device has none for them.
 
     Raises:
@@ -161,7 +161,7 @@ def operator_with(
     """
     names = ("timing", "action_mode", "action_scale", "mounts", "limits", "tools", "grippers")
     view = setup.make_task().concise_view() if setup.options.concise else None
-    clock = time.monotonic if paced and not setup.config.controllers else None
+    clock = time.monotonic if paced and not setup.keeps_time else None
     try:
         if keys and isinstance(device, Device) and not isinstance(device, Keyboard | PageDevice) and _is_terminal():
             device = WithKeys(device, Keyboard())

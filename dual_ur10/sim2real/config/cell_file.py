@@ -391,7 +391,7 @@ def resolve_cell(cell: object) -> CellConfig:
         discover()
     without_file = [name for name, kind in CELL_KINDS.items() if not kind.file]
     if not isinstance(cell, str) or cell not in without_file:
-        other = "the path of a cell file, such as lab.toml, or a CellConfig"
+        other = "the path of a cell file, such as lab.toml, a CellConfig, or a dual_ur10.testing.VirtualCell"
         raise UnknownNameError("cell", str(cell), without_file, other)
     return CellConfig(kind=cell)
 

@@ -139,12 +139,20 @@ def _run(env_id: str, policy: Policy | str, episodes: int, cell: Path | None, **
                 nonlocal found
                 found = so_far
                 text = f"success {100 * so_far.success_rate:.1f} %"
-                progress.update(bar, description=text, completed=len(so_far.episodes))
+                progress.update(bar, description=text)
                 if asks(cell):  # no bar is shown
                     done = f"{len(so_far.episodes)} of {episodes} episodes, {text}{late_text(so_far.late_actions)}"
                     console.print(done, highlight=False)
 
-            return run(env_id, policy, episodes=episodes, move_to_start=moves, on_progress=show, **arguments)
+            return run(
+                env_id,
+                policy,
+                episodes=episodes,
+                move_to_start=moves,
+                on_progress=show,
+                on_step=lambda done: progress.update(bar, completed=done),
+                **arguments,
+            )
     except KeyboardInterrupt:
         if found is not None:
             console.print(found.as_table())

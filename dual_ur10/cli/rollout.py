@@ -103,12 +103,15 @@ def rollout(
                 table.add_row(str(episode), str(seed + episode), *_row(found))
                 late = made.unwrapped.core.late_actions
     except KeyboardInterrupt:
-        if cell is None:
-            raise
-        runner = made.unwrapped.core.cell.runner
-        close(made, actor)
-        end = "both arms have stopped" if runner.stopped else "check both arms, one was not seen to stop"
-        errors.print(f"interrupted: {end}", highlight=False, soft_wrap=True)
+        end = ""
+        if cell is not None:
+            runner = made.unwrapped.core.cell.runner
+            close(made, actor)
+            end = ": " + ("both arms have stopped" if runner.stopped else "check both arms, one was not seen to stop")
+        errors.print(f"interrupted{end}", highlight=False, soft_wrap=True)
+        if returns:
+            console.print(table)
+            console.print(f"success {successes} of {len(returns)}; {episodes} were asked for", highlight=False)
         raise typer.Exit(INTERRUPTED) from None
     finally:
         close(made, actor)

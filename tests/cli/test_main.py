@@ -135,6 +135,27 @@ def test_rollout_prints_a_row_per_episode_and_a_summary(name: str) -> None:
     assert not logging.getLogger(run_folder.__name__).handlers  # not for what records later
 
 
+def test_ctrl_c_keeps_the_rows_of_finished_episodes(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "tired.py").write_text("""
+import numpy as np
+
+class Tired:
+    def __init__(self): self.calls = 0
+    def reset(self): pass
+    def __call__(self, observation):
+        self.calls += 1
+        if self.calls == 25:
+            raise KeyboardInterrupt
+        return np.zeros(12, dtype=np.float32)
+""")
+    monkeypatch.syspath_prepend(tmp_path)
+    code, text = run("rollout", "SineTracking", "-p", "tired:Tired", "-n", "200", "--no-record", *SHORT)
+    assert code == INTERRUPTED
+    assert [line.split()[1] for line in text.splitlines() if line.startswith("│")] == ["0", "1"]
+    assert text.splitlines()[0] == "interrupted"
+    assert text.splitlines()[-1].endswith(" of 2; 200 were asked for")
+
+
 def test_a_task_without_flange_errors_has_no_columns_of_them() -> None:
     _, text = run("rollout", "Handover", "-n", "1", "--policy", "zero", "--no-record", "--set", "duration_s=1.0")
     assert "recording" not in text

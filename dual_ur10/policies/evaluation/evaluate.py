@@ -48,6 +48,7 @@ def evaluate(
     max_steps: int | None = None,
     move_to_start: bool = False,
     on_progress: Callable[[Evaluation], None] | None = None,
+    on_step: Callable[[float], None] | None = None,
 ) -> Evaluation:
     """Run episodes with the seeds `seed`, `seed + 1`, ..., and return their results.
 
@@ -73,6 +74,8 @@ def evaluate(
             as in the options of a reset, only the first episode needs none. It has no effect in simulation.
         on_progress: Callback with the evaluation of all leading episodes that have ended, as it would be without the
             others. Called whenever their number grows.
+        on_step: Callback after each step with the number of episodes that have run, where one that is running counts
+            as the elapsed ratio of its longest time.
 
     Raises:
         SettingsError: A number is out of its range, or the evaluation itself sets a keyword.
@@ -125,7 +128,7 @@ def evaluate(
                 on_progress(result(found))
 
         return result(
-            _run(env, actor, range(seed, seed + episodes), core.timing.period_s, bound, move_to_start, report)
+            _run(env, actor, range(seed, seed + episodes), core.timing.period_s, bound, move_to_start, report, on_step)
         )
     finally:
         env.close()
@@ -139,7 +142,9 @@ def _run(
     max_steps: int,
     move_to_start: bool,
     report: Callable[[Sequence[Episode]], None],
+    on_step: Callable[[float], None] | None,
 ) -> list[Episode]:
+    horizon = getattr(env.unwrapped.core.task, "horizon", None) or math.inf
     n, kind, one_by_one = env.num_envs, env.single_action_space.dtype, isinstance(actor, EpisodeAware)
     tally = _Tally(n)
     current = list(range(n))  # index into `seeds` of the episode in each row
@@ -168,6 +173,9 @@ def _run(
             for row in np.flatnonzero(~live).tolist()[: len(seeds) - upcoming]:
                 current[row], upcoming, live[row] = upcoming, upcoming + 1, True
                 fresh = fresh if one_by_one else np.ones(n, dtype=bool)
+        if on_step is not None:
+            running = tally.steps[live & ~fresh] / horizon
+            on_step(sum(each is not None for each in found) + float(running.sum()))
         endless = ~fresh & (tally.steps >= max_steps)  # an idle row runs shorter than an active one
         if endless.any():
             raise DualUR10Error(

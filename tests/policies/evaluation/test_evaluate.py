@@ -472,6 +472,15 @@ def test_progress_equals_smaller_evaluations(num_envs: int) -> None:
         assert each == stub_evaluation(episodes=len(each.episodes), num_envs=1)
 
 
+@pytest.mark.parametrize("num_envs", [1, 3])
+def test_each_step_counts_as_its_ratio_of_an_episode(num_envs: int) -> None:
+    done: list[float] = []
+    evaluate(SINE, "zero", episodes=4, num_envs=num_envs, env_kwargs={"duration_s": 0.4}, on_step=done.append)
+    together = [min(num_envs, 4 - first) for first in range(0, 4, num_envs)]  # zero holds nothing from step to step
+    rises = np.diff([0.0, *done])
+    np.testing.assert_allclose(rises, np.repeat([each / 10 for each in together], 10), atol=1e-12)
+
+
 def test_the_environment_is_closed_when_the_policy_fails() -> None:
     class Broken(Watching):
         def __call__(self, observation: Any) -> Any:

@@ -1,12 +1,13 @@
 """Operators: from an input to motion, takeovers, tasks that synthetic persons finish, and what is learned from them.
 
-python benchmarks/operators.py [--parts input,takeovers,devices,controllers,demonstrations,corrections,page]
+python benchmarks/operators.py [--parts input,keys,takeovers,devices,controllers,demonstrations,corrections,page]
     [--episodes 20] [--devices spacemouse,leader,page] [--takeovers 1000] [--evaluated 300] [--json FILE]
 
 Persons act by the reports of their devices: SpaceMice as raw reports in a pipe, leader arms as chains of servos on
 pseudo terminals, the handles of a page in its shared memory.
 
 input: Time from an input to the first motion, on a virtual cell, by the clock of its controllers.
+keys: Stop keys that are lost among other keys and escape sequences, on a pseudo terminal.
 takeovers: Takeovers and hand-backs at random instants, on virtual cells.
 devices: Tasks that persons finish in simulation.
 controllers: The same on emulated controllers in virtual time, a quarter of the episodes, on mild plants.
@@ -27,6 +28,7 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 import argparse
 import dataclasses
 import json
+import random
 import sys
 import tempfile
 from pathlib import Path
@@ -50,6 +52,7 @@ from dual_ur10.policies.training.demonstrations import demonstrate, make_dataset
 from dual_ur10.policies.training.settings import defaults
 from dual_ur10.policies.training.train import train
 from tests.policies.operators.hands import operator_of
+from tests.policies.operators.key_streams import stops_lost
 from tests.policies.operators.persons import (
     PERSONS,
     Corrector,
@@ -61,10 +64,11 @@ from tests.policies.operators.persons import (
 from tests.virtual import test_takeover
 from tests.virtual.test_operator import Rig, input_to_motion_s
 
-PARTS = ("input", "takeovers", "devices", "controllers", "demonstrations", "corrections", "page")
+PARTS = ("input", "keys", "takeovers", "devices", "controllers", "demonstrations", "corrections", "page")
 CELLS = 10
 TASKS = {"handover": "Handover", "carry": "SyncCarry"}
 INPUTS = 10
+KEY_STREAMS = 10_000
 LEARNED = "Handover"
 KEYWORDS = {"action_latency_ticks": 5, "randomization": "wide"}
 DEMONSTRATIONS, CLONED, CORRECTED = 30, 3, 10
@@ -205,6 +209,9 @@ def main() -> None:
         for key, family in (("input_to_motion_ms_p99", "e-series"), ("input_to_motion_cb3_ms_p99", "cb3")):
             figures[key] = round(input_to_motion_ms(family), 1)
             print(f"{family}: input to motion, 99th percentile {figures[key]} ms", flush=True)
+    if "keys" in parts:
+        figures |= {"key_streams": KEY_STREAMS, "stop_keys_lost": stops_lost(KEY_STREAMS, random.Random(0))}
+        print(f"stop keys lost: {figures['stop_keys_lost']} of {KEY_STREAMS}", flush=True)
     if "takeovers" in parts and arguments.takeovers:
         figures |= takeovers(arguments.takeovers)
     if "devices" in parts:

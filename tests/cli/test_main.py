@@ -281,6 +281,9 @@ class Hand:
         self.speed, self.buttons = speed, [*str(buttons).split("+"), *[""] * 9999]
         OPEN.append(self)
 
+    def begin(self):
+        pass
+
     def read(self):
         pressed = frozenset(filter(None, [self.buttons.pop(0)]))
         if "interrupt" in pressed:

@@ -82,6 +82,13 @@ class Device(Protocol):
     name: str
     hands: int
 
+    def begin(self) -> None:
+        """Begin an episode: forget what was pressed before it, but not the button "stop".
+
+        Raises:
+            DeviceError: As for `read`.
+        """
+
     def read(self) -> Reading:
         """Return the newest input, and forget all earlier one. It never waits longer than a few milliseconds.
 

@@ -68,6 +68,10 @@ class Gamepad:
                 f"plugged in, this user may not read it; put into /etc/udev/rules.d/60-dual-ur10.rules: {UDEV_RULE}"
             )
 
+    def begin(self) -> None:
+        """See `Device`."""
+        self.read()
+
     def read(self) -> Reading:
         """See `Device`."""
         sdl, pad = self._sdl, self._pad

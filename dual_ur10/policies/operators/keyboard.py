@@ -19,6 +19,7 @@ from dual_ur10.errors import DeviceAbsentError, DeviceUnpluggedError, SettingsEr
 from dual_ur10.policies.operators import sdl as _sdl
 from dual_ur10.policies.operators.device import FULL_TWIST, Device, Reading
 from dual_ur10.policies.operators.hands import unplugged
+from dual_ur10.policies.operators.terminal_keys import TerminalKeys
 from dual_ur10.types import Array
 
 MOTIONS: Final = {
@@ -55,7 +56,8 @@ KEYS: Final = {
 """Buttons of keys: space, tabulator, return and backspace are among them."""
 
 _DECAY_S: Final = 0.15  # after a key, in which a terminal says nothing of its release
-_READ_BYTES: Final = 1024
+_READ_BYTES: Final = 4096  # as many as Linux keeps of a terminal
+_READS: Final = 4  # in a row: what its other end still keeps comes after them
 
 
 class Keyboard:
@@ -92,11 +94,23 @@ class Keyboard:
             raise SettingsError(f"speed of a keyboard is {speed!r}: it must be a number, 0.01 to 1")
         self._speed = float(speed)
         self._keys: _Terminal | _Window = _Window() if window else _Terminal(file, clock)
+        self._stops: frozenset[str] = frozenset()  # pressed before the episode
         self.name = self._keys.name
+        try:
+            self.begin()
+        except BaseException:
+            self.close()
+            raise
+
+    def begin(self) -> None:
+        """See `Device`. Keys held in a window are held still."""
+        self._stops |= self._keys.read()[1] & {"stop"}
+        self._keys.forget()
 
     def read(self) -> Reading:
         """See `Device`."""
         share, buttons = self._keys.read()
+        buttons, self._stops = buttons | self._stops, frozenset()
         twist = np.zeros((2, 6))
         twist[0] = np.clip(share, -1.0, 1.0) * (self._speed * FULL_TWIST)
         return Reading(twist=twist, clutch=np.array([True, False]), buttons=buttons)
@@ -117,6 +131,11 @@ class WithKeys:
     def __init__(self, device: Device, keys: Keyboard) -> None:
         self.device, self._keys = device, keys
         self.name, self.hands = device.name, device.hands
+
+    def begin(self) -> None:
+        """See `Device`."""
+        self.device.begin()
+        self._keys.begin()
 
     def read(self) -> Reading:
         """See `Device`."""
@@ -142,7 +161,8 @@ class _Terminal:
             raise DeviceAbsentError(
                 "keyboard: the standard input is no terminal. Run this in one, or with keyboard:window=true"
             )
-        self._clock, self._pressed_s = clock, dict.fromkeys(MOTIONS, -np.inf)
+        self._clock, self._parser = clock, TerminalKeys()
+        self.forget()
         self._before: list[Any] | None = termios.tcgetattr(self._file)
         tty.setcbreak(self._file, termios.TCSANOW)  # Ctrl-C still interrupts
 
@@ -159,18 +179,25 @@ class _Terminal:
             share[axis] += sign * max(0.0, 1.0 - (now - self._pressed_s[key]) / _DECAY_S)
         return share, frozenset(buttons)
 
+    def forget(self) -> None:
+        """Let no key that was read move anything."""
+        self._pressed_s = dict.fromkeys(MOTIONS, -np.inf)
+
     def _text(self) -> str:
         """Return the keys since the last reading."""
-        # Without blocking set off, which would concern the standard output, too: it is the same open terminal.
-        if not select.select([self._file], [], [], 0.0)[0]:
-            return ""
-        try:
-            data = os.read(self._file, _READ_BYTES)
-        except OSError as error:
-            unplugged(self.name, error)
-        if not data:
-            unplugged(self.name)
-        return "" if data.startswith(b"\x1b") else data.decode("ascii", "ignore").lower()
+        data = b""
+        for _ in range(_READS):
+            # Without blocking set off, which would concern the standard output, too: it is the same open terminal.
+            if not select.select([self._file], [], [], 0.0)[0]:
+                break
+            try:
+                piece = os.read(self._file, _READ_BYTES)
+            except OSError as error:
+                unplugged(self.name, error)
+            if not piece:
+                unplugged(self.name)
+            data += piece
+        return self._parser.keys(data)
 
     def close(self) -> None:
         """Restore the terminal. May be called twice."""
@@ -235,6 +262,9 @@ class _Window:
             axis, sign = MOTIONS[key]
             share[axis] += sign
         return share, frozenset(buttons)
+
+    def forget(self) -> None:
+        """Keep the keys that are held: that they are is no matter of the past."""
 
     def _is_window(self, event: Any, kinds: Collection[int]) -> bool:
         return event.type == self._sdl.SDL_WINDOWEVENT and event.window.event in kinds

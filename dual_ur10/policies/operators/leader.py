@@ -214,6 +214,9 @@ class Leader:
                 if chain.position_rad is None and time.monotonic() >= until:
                     raise chain.lacking()
 
+    def begin(self) -> None:
+        """See `Device`. A leader has no buttons."""
+
     def read(self) -> Reading:
         """See `Device`."""
         for chain in self._chains:

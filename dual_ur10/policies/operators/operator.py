@@ -124,7 +124,7 @@ class Operator:
     ) -> None:
         if not isinstance(device, Device) or device.hands not in (1, 2):
             raise SettingsError(
-                f"{device!r:.80} is no input device: it needs read(), close(), a name, and hands, which are 1 or 2"
+                f"{device!r:.80} is no input device: it needs begin(), read(), close(), a name, and hands, 1 or 2"
             )
         if action_mode not in get_args(ActionMode):
             raise UnknownNameError("action mode", str(action_mode), get_args(ActionMode))
@@ -152,7 +152,11 @@ class Operator:
         return f"{type(self).__name__}({self.device.name}, {self.action_mode})"
 
     def reset(self) -> None:
-        """Begin an episode: grippers are open, and what hands and leaders were joined to is forgotten."""
+        """Begin an episode: grippers are open, and what hands and leaders were joined to is forgotten.
+
+        With the first action also what was pressed before it, but not the button "stop".
+        """
+        self._begins = True
         self.buttons: frozenset[str] = frozenset()
         self.opening: Array = np.ones(2)
         self.leads: Mask = np.zeros(2, dtype=bool)
@@ -204,6 +208,9 @@ class Operator:
             commanded = self._view.commanded_q_rad(state.reshape(1, -1))[0]
         tools = self._tools(commanded)
         self.commanded_q_rad, self.tools_m, self.refusals = commanded, np.concatenate(tools, axis=1), {}
+        if self._begins:  # arms may have moved to the start since `reset`
+            self.device.begin()
+            self._begins = False
         reading = self._read()
         if self.on_buttons is not None:
             self.on_buttons(reading.buttons)

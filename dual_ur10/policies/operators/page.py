@@ -43,6 +43,9 @@ class PageDevice:
         self.name = "the live page"
         self.page = page
 
+    def begin(self) -> None:
+        """See `Device`. Presses are for the program, too, between episodes: none is forgotten."""
+
     def read(self) -> Reading:
         """Return the handles and the buttons.
 

@@ -157,6 +157,10 @@ class SpaceMouse:
             self.close()
             raise
 
+    def begin(self) -> None:
+        """See `Device`."""
+        self.read()
+
     def read(self) -> Reading:
         """See `Device`."""
         now = self._clock()

@@ -21,6 +21,9 @@ class Hand:
     def set(self, **reading):
         self.reading = Reading(**reading)
 
+    def begin(self):
+        pass
+
     def read(self):
         return self.reading
 

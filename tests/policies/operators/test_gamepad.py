@@ -74,6 +74,11 @@ def test_buttons_count_once_when_pressed():
         assert not pad.read().buttons
         raw.button(A, 1)
         assert pad.read().buttons == {"grip"}
+        raw.button(SHOULDER_RIGHT, 0)
+        pad.read()
+        raw.button(SHOULDER_RIGHT, 1)
+        pad.begin()
+        assert not pad.read().buttons  # before the episode
         pad.close()
 
 

@@ -3,14 +3,21 @@
 import contextlib
 import os
 import pty
+import random
+import select
 import termios
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from dual_ur10.errors import DeviceAbsentError, DeviceUnpluggedError, SettingsError
+from dual_ur10.errors import DeviceAbsentError, DeviceUnpluggedError, SettingsError, StopPressedError
 from dual_ur10.policies.operators.device import FULL_TWIST
-from dual_ur10.policies.operators.keyboard import KEYS, MOTIONS, Keyboard
+from dual_ur10.policies.operators.keyboard import KEYS, MOTIONS, Keyboard, WithKeys
+from dual_ur10.policies.operators.terminal_keys import TerminalKeys
+from tests.policies.operators.hands import Hand, led, twist
+from tests.policies.operators.key_streams import SEQUENCES, TYPED, stops_lost
 
 
 class Clock:
@@ -28,6 +35,12 @@ def terminal():
     for each in (own, other):
         with contextlib.suppress(OSError):
             os.close(each)
+
+
+def write(terminal, data):
+    """Type, and wait until that has come."""
+    os.write(terminal[0], data)
+    select.select([terminal[1]], [], [], 10.0)
 
 
 def test_a_key_of_a_terminal_gives_a_speed_that_decays(terminal):
@@ -59,10 +72,55 @@ def test_other_keys_are_buttons(terminal):
     os.write(own, b" \t2zq\xc3\xa4")
     assert keyboard.read().buttons == {"grip", "switch", "take_right"}
     assert not keyboard.read().buttons
-    os.write(own, b"\x1b[A")  # an arrow, no letter
-    reading = keyboard.read()
-    assert not reading.buttons
-    assert not reading.twist.any()
+
+
+@given(st.lists(st.sampled_from([*TYPED, *SEQUENCES, b"\xc3\xa4"])), st.lists(st.integers(0, 60)))
+def test_what_is_typed_comes_through_and_no_letter_of_a_sequence(tokens, cuts):
+    data, ends = b"".join(tokens), sorted(cuts)
+    parser = TerminalKeys()
+    found = "".join(parser.keys(data[a:b]) for a, b in zip([0, *ends], [*ends, len(data)], strict=True))
+    assert found == b"".join(each for each in tokens if each in TYPED).decode().lower()
+
+
+@given(st.lists(st.binary(max_size=6), max_size=6))
+def test_no_bytes_hide_the_stop_key(pieces):
+    parser = TerminalKeys()
+    found = "".join(map(parser.keys, pieces))
+    assert found.count("x") == b"".join(pieces).lower().count(b"x")
+
+
+def test_no_stop_is_lost_among_keys_on_a_terminal():
+    assert stops_lost(200, random.Random(0)) == 0  # of 10,000 in benchmarks/operators.py
+
+
+@pytest.mark.parametrize("with_keys", [False, True])
+def test_keys_typed_before_an_episode_count_for_nothing_but_stop(terminal, with_keys):
+    own, other = terminal
+    os.write(own, b"w2")
+    select.select([own], [], [], 10.0)  # the echo
+    keyboard = Keyboard(file=other)
+    device = WithKeys(Hand(1, **twist(0, 0, 0, 0, 0, 0)), keyboard) if with_keys else keyboard
+    early = keyboard.read()  # typed before the program
+    assert not early.buttons
+    assert not early.twist.any()
+    env, operator = led(device)
+    observation, _ = env.reset(seed=0)
+    for _ in range(2):
+        operator.reset()
+        write(terminal, b"ww1")  # while the arms move to the start
+        action = operator(observation)
+        assert not operator.buttons
+        assert not np.any(action.reshape(2, -1)[:, :6])
+        write(terminal, b"2")
+        operator(observation)
+        assert operator.buttons == {"take_right"}
+    operator.reset()
+    write(terminal, b"wx2")
+    device.begin()
+    device.begin()
+    with pytest.raises(StopPressedError):
+        operator(observation)
+    env.close()
 
 
 def test_the_terminal_is_restored(terminal):
@@ -136,6 +194,15 @@ class TestWindow:
         self.key(sdl, " ", sdl.SDL_KEYDOWN)
         assert keyboard.read().buttons == {"grip"}
         self.key(sdl, " ", sdl.SDL_KEYDOWN, repeat=1)
+        assert not keyboard.read().buttons
+
+    def test_what_was_pressed_before_an_episode_counts_only_if_it_stops(self, sdl, keyboard):
+        for key in "2xw":
+            self.key(sdl, key, sdl.SDL_KEYDOWN)
+        keyboard.begin()
+        reading = keyboard.read()
+        assert reading.buttons == {"stop"}
+        assert reading.twist.any()  # a key is held
         assert not keyboard.read().buttons
 
     def test_without_the_focus_nothing_is_held(self, sdl, keyboard):

@@ -67,6 +67,10 @@ def test_two_mice_are_two_hands(tmp_path, clock):
     left.press(0)
     left.press(1)
     assert mouse.read().buttons == {"grip_left"}
+    right.press(0)
+    right.press(2)
+    mouse.begin()
+    assert not mouse.read().buttons  # before the episode
 
 
 def test_silence_while_deflected_ages_and_rest_does_not(tmp_path, clock):

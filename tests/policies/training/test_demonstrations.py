@@ -38,6 +38,9 @@ class Person:
     def __init__(self, *script):
         self.script = [button for steps, button in script for button in (*[None] * steps, button)]
 
+    def begin(self):
+        pass
+
     def read(self):
         button = self.script.pop(0)
         if button == "unplug":

@@ -206,129 +206,13 @@ TABLES = {
 """Marks that generated tables replace, by page."""
 
 
-def rows_above(text: str, mark: str) -> list[list[str]]:
-    """Return the cells of the last table before a mark, its head first.
-
-    Raises:
-        LookupError: There is no such mark, or no table before it.
-    """
-    before, found, _ = text.partition(mark)
-    tables = re.findall(r"(?:^\|.*\n)+", before, re.MULTILINE)
-    if not found or not tables:
-        raise LookupError(f"{mark} has no table before it")
-    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in tables[-1].splitlines()]
-    return [rows[0], *rows[2:]]
-
-
-def number(cell: str) -> float | None:
-    """Return the first number of a cell, or None."""
-    found = re.search(r"\d[\d,]*(?:\.\d+)?", cell)
-    return float(found[0].replace(",", "")) if found else None
-
-
-LEFT, RIGHT, ROW, LABEL = 330, 760, 20, 50
-"""Columns between which a plot draws, the height of its rows, and the most characters that fit beside them."""
-
-
-def plot(title: str, labels: list[str], marks: list[list[str]], ticks: dict[float, str], axis: str) -> str:
-    """Return a drawing with one row of marks for each label above an axis; colours are those of the page.
-
-    Args:
-        title: Text for those who do not see the drawing.
-        labels: Label of each row.
-        marks: SVG elements of each row, whose middle is y = 0.
-        ticks: Labels of the axis by their x.
-        axis: Quantity and unit of the axis.
-    """
-    height = ROW * len(labels) + 44
-    foot = height - 38
-    parts = [f'<line class="grid" x1="{x:.1f}" x2="{x:.1f}" y1="4" y2="{foot}"/>' for x in ticks]
-    texts = [(x, foot + 15, text) for x, text in ticks.items()] + [((LEFT + RIGHT) / 2, height - 6, axis)]
-    parts += [f'<text class="label" text-anchor="middle" x="{x:.1f}" y="{y}">{text}</text>' for x, y, text in texts]
-    for index, (label, drawn) in enumerate(zip(labels, marks, strict=True)):
-        y = ROW * index + 15
-        name = f'<text class="label" text-anchor="end" x="{LEFT - 10}" y="{y + 4}">{label.replace("`", "")}</text>'
-        parts += [name, f'<g transform="translate(0 {y})">', *drawn, "</g>"]
-    return (
-        f'<figure class="plot"><svg viewBox="0 0 {RIGHT + 30} {height}" role="img" aria-label="{title}">'
-        f"<title>{title}</title>{''.join(parts)}</svg></figure>"
-    )
-
-
-def policies_plot(rows: list[list[str]], name: str) -> str:
-    """Return the plot of a table of policies: success and its 95 % interval."""
-
-    def x(percent: float) -> float:
-        return LEFT + (RIGHT - LEFT) * percent / 100
-
-    labels, marks = [], []
-    for policy, plant, success, interval, *_ in rows[1:]:
-        k, n = (float(each) for each in re.findall(r"\d+", success)[:2])
-        low, high = (float(each) for each in re.findall(r"[\d.]+", interval)[:2])
-        labels.append(f"{policy}, {plant}")
-        line = f'<line class="interval" x1="{x(low):.1f}" x2="{x(high):.1f}" y1="0" y2="0"/>'
-        marks.append([line, f'<circle class="first" cx="{x(100 * k / n):.1f}" cy="0" r="4"/>'])
-    ticks = {x(each): f"{each} %" for each in range(0, 101, 20)}
-    return plot(f"Success of the policies of {name}", labels, marks, ticks, "success with its 95 % interval")
-
-
-def speed_plot(rows: list[list[str]]) -> str:
-    """Return the plot of the table of speeds: a bar for each simulator and task."""
-    values = [[number(cell) or 0.0 for cell in row[1:]] for row in rows[1:]]
-    end = 10 * (max(map(max, values)) // 10 + 1)
-    labels, marks = [], []
-    for row, measured in zip(rows[1:], values, strict=True):
-        tasks = [each.strip() for each in row[0].split(";")]
-        for column, value in enumerate(measured):
-            labels.append(f"{tasks[min(column, 1)]}, {rows[0][column + 1].removeprefix('ours, ')}")
-            width = (RIGHT - LEFT) * value / end
-            kind = "first" if column else "second"
-            marks.append([f'<rect class="{kind}" x="{LEFT}" y="-6" width="{width:.1f}" height="12"/>'])
-    ticks = {LEFT + (RIGHT - LEFT) * each / end: f"{each:g}" for each in range(0, int(end) + 1, 20)}
-    return plot("Speed against robosuite", labels, marks, ticks, "simulated seconds in a second of processor time")
-
-
-def goals_plot(rows: list[list[str]]) -> str:
-    """Return the plot of a table with goals: each value as a ratio of its goal, on a quiet and on a busy machine."""
-    values = [[number(cell) for cell in row[1:]] for row in rows[1:]]
-    ratios = [
-        {kind: each / goal for kind, each in (("second", busy), ("first", quiet)) if each is not None}
-        for goal, quiet, busy in values
-        if goal
-    ]
-    end = int(max(each for row in ratios for each in row.values())) + 1
-    marks = [
-        [
-            f'<circle class="{kind}" cx="{LEFT + (RIGHT - LEFT) * each / end:.1f}" cy="0" r="4.5"/>'
-            for kind, each in row.items()
-        ]
-        for row in ratios
-    ]
-    ticks = {LEFT + (RIGHT - LEFT) * each / end: "goal" if each == 1 else f"{each}" for each in range(end + 1)}
-    labels = [row[0] for row in rows[1:]]
-    axis = "ratio of the goal: filled on a quiet machine, hollow on a busy one"
-    return plot("Lateness, stops and errors of two arms as ratios of their goals", labels, marks, ticks, axis)
-
-
-PLOTS: dict[str, Callable[[list[list[str]]], str]] = {
-    "<!-- plot of policies of SineTracking -->": partial(policies_plot, name="SineTracking"),
-    "<!-- plot of policies of Handover -->": partial(policies_plot, name="Handover"),
-    "<!-- plot of speed -->": speed_plot,
-    "<!-- plot of goals -->": goals_plot,
-}
-"""Marks in the benchmarks that a plot of the table above replaces."""
-
-
 KEY_LENGTH = 24
 """Largest number of characters of a code that a table keeps in one line: a third of the text's width on a laptop."""
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Insert generated tables and plots."""
+    """Insert generated tables."""
     mark, table = TABLES.get(page.file.src_uri, ("", str))
-    if page.file.src_uri == "reference/benchmarks.md":
-        drawn = {each: draw(rows_above(markdown, each)) for each, draw in PLOTS.items()}
-        return re.sub("|".join(map(re.escape, drawn)), lambda found: drawn[found[0]], markdown)
     return markdown.replace(mark, table()) if mark else markdown
 
 
@@ -336,7 +220,7 @@ def on_page_content(html: str, **_: Any) -> str:
     """Mark short keys of tables, which the style sheet keeps in one line, and let lines end at parts of other code."""
 
     def parted(found: re.Match[str]) -> str:
-        return re.sub(r"(?<=[/_.])(?=\w)|(?<=[a-z])(?=[A-Z])", "<wbr>", found[0])
+        return re.sub(r"(?<=[/_.])(?=\w)|(?<=[a-z])(?=[A-Z][a-z])", "<wbr>", found[0])
 
     def cell(found: re.Match[str]) -> str:
         return re.sub(r"(?<=>)[^<]+(?=</code>)", parted, found[0])

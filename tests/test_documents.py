@@ -10,7 +10,6 @@ import shlex
 import shutil
 import tomllib
 from pathlib import Path
-from types import SimpleNamespace
 from typing import get_args
 
 import pytest
@@ -97,9 +96,9 @@ def test_every_page_is_in_the_navigation():
     assert named - pages <= GENERATED
 
 
-def hooks():
-    """Return the hooks of MkDocs, which generate pages and mark up tables."""
-    specification = importlib.util.spec_from_file_location("hooks", DOCS / "hooks.py")
+def load(name):
+    """Return a module of the folder of the documentation."""
+    specification = importlib.util.spec_from_file_location(name, DOCS / f"{name}.py")
     module = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(module)
     return module
@@ -165,16 +164,16 @@ def test_pictures_have_a_text(path):
 @pytest.mark.parametrize("name", sorted(GENERATED))
 def test_generated_lists_and_tables_do_not_run_into_a_paragraph(name):
     pytest.importorskip("mkdocs")
-    assert broken_lists(hooks().pages(DOCS)[name]()) == []
+    assert broken_lists(load("hooks").pages(DOCS)[name]()) == []
 
 
 def test_each_task_has_a_page_also_one_that_is_registered_later(monkeypatch):
     pytest.importorskip("mkdocs")
-    assert hooks().pages(DOCS).keys() == GENERATED
+    assert load("hooks").pages(DOCS).keys() == GENERATED
     monkeypatch.setitem(TASKS, "MyLab/PegHandover-v3", TASKS["DualUR10/Handover-v0"])
-    nav = hooks().on_config({"nav": [], "docs_dir": DOCS})["nav"]
+    nav = load("hooks").on_config({"nav": [], "docs_dir": DOCS})["nav"]
     assert "tasks/mylab-peg-handover.md" in nav[0]["Tasks"]
-    page = hooks().pages(DOCS)["tasks/mylab-peg-handover.md"]()
+    page = load("hooks").pages(DOCS)["tasks/mylab-peg-handover.md"]()
     assert page.startswith("# PegHandover\n")
     assert "python -m dual_ur10 view MyLab/PegHandover-v3 --policy learned" in page
     assert "## Baselines" not in page  # nothing was measured
@@ -184,7 +183,7 @@ def test_each_task_has_a_page_also_one_that_is_registered_later(monkeypatch):
 def test_the_site_has_the_address_of_the_repository_once_there_is_one(address, tmp_path):
     pytest.importorskip("mkdocs")
     (tmp_path / "pyproject.toml").write_text(f"[tool.hatch.metadata.hooks.custom]\nrepository = '{address}'")
-    config = hooks().on_config({"nav": [], "docs_dir": str(tmp_path / "docs")})
+    config = load("hooks").on_config({"nav": [], "docs_dir": str(tmp_path / "docs")})
     assert (config.get("repo_url", ""), config.get("repo_name", "")) == (address, address[20:])
 
 
@@ -192,7 +191,7 @@ def test_the_site_has_the_address_of_the_repository_once_there_is_one(address, t
 def test_the_code_on_the_page_of_a_task_runs(name, monkeypatch, workplace):
     pytest.importorskip("mkdocs")
     monkeypatch.chdir(workplace)
-    page = hooks().pages(DOCS)[f"tasks/{name}.md"]()
+    page = load("hooks").pages(DOCS)[f"tasks/{name}.md"]()
     written = workplace / f"{name}.md"
     written.write_text(page)
     start, change = blocks(written, "python")
@@ -244,40 +243,31 @@ def test_intervals_of_success_are_those_of_their_counts():
     assert checked > 30
 
 
-def test_plots_of_the_benchmarks_are_those_of_their_tables():
-    pytest.importorskip("mkdocs")
-    module = hooks()
+def test_plots_are_those_of_their_figures_and_these_are_those_of_the_tables():
+    pytest.importorskip("matplotlib")
+    figures = load("figures")
+    for name, (page, _) in figures.PLOTS.items():
+        plot = json.loads((DOCS / f"{page}.json").read_text())[name]
+        drawn = (DOCS / "images" / f"figure_{name}.svg").read_text()
+        assert figures.digest(plot) in drawn, f"run docs/figures.py: {name} was drawn of other figures"
     text = (DOCS / "reference" / "benchmarks.md").read_text()
-    page = SimpleNamespace(file=SimpleNamespace(src_uri="reference/benchmarks.md"))
-    drawn = module.on_page_markdown(text, page)
-    assert "<!-- plot" not in drawn
-    assert drawn.count("<svg") == len(module.PLOTS)
-    labels = re.findall(r'text-anchor="end"[^>]*>([^<]*)<', drawn)
-    assert len(labels) > 30
-    assert [each for each in labels if len(each) > module.LABEL] == []
-    with pytest.raises(LookupError, match="no table"):
-        module.rows_above("no table\n<!-- plot -->", "<!-- plot -->")
-
-    def shares(svg, attribute):
-        return [(float(each) - module.LEFT) / (module.RIGHT - module.LEFT) for each in
-                re.findall(rf'(?:circle|line class="interval")[^>]*{attribute}="([^"]*)"', svg)]  # fmt: skip
-
-    table = "| a | b | c | d |\n|---|---|---|---|\n| `p` | mild | 3 of 4 | 30.1 to 95.4 % |\n\n<!-- plot -->"
-    svg = module.policies_plot(module.rows_above(table, "<!-- plot -->"), "T")
-    found = [*shares(svg, "cx"), *shares(svg, "x1"), *shares(svg, "x2")]
-    assert found == pytest.approx([0.75, 0.301, 0.954], abs=1e-3)
-    svg = module.goals_plot(
-        [["figure", "goal", "quiet", "busy"], ["x", "2 ms", "1 ms", "1.5 ms"], ["y", "4", "1", "–"]]
-    )
-    assert shares(svg, "cx") == pytest.approx([0.75, 0.5, 0.25], abs=1e-3)
-    svg = module.speed_plot([["robosuite; ours", "robosuite", "ours, one"], ["A; B", "5", "10.5 (2.1 times)"]])
-    assert re.findall(r'<rect[^>]*width="([^"]*)"', svg) == [f"{430 * each / 20:.1f}" for each in (5, 10.5)]
+    rows = [
+        row
+        for plot in json.loads((DOCS / "reference" / "benchmarks.json").read_text()).values()
+        for row in plot["rows"]
+    ]
+    assert len(rows) == 10
+    for row in rows:
+        section = text.partition(f" {row['section']}\n")[2]
+        line = next(line for line in section.splitlines() if line.startswith(f"| {row['row']} |"))
+        stated = {float(each) for each in re.findall(r"(?<![\d.])\d+(?:\.\d+)?", line)}
+        assert {float(each) for each in row.values() if not isinstance(each, str)} <= stated, row
 
 
 def test_only_short_keys_of_tables_stay_in_one_line():
     """A long code that did not wrap would take the width of the other columns."""
     pytest.importorskip("mkdocs")
-    module = hooks()
+    module = load("hooks")
     short, long = "k" * module.KEY_LENGTH, "k" * (module.KEY_LENGTH + 1)
     row = "<tr><td><code>{}</code></td></tr>"
     marked = module.on_page_content(row.format(short) + row.format(long))

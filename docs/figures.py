@@ -1,0 +1,158 @@
+"""Draw the plots of the benchmarks and of the stock learners from the JSON beside those pages (extra `plot`)."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+
+DOCS = Path(__file__).parent
+OURS, LIGHT, PEER, BAD = "#3f51b5", "#9fa8da", "#9e9e9e", "#c62828"
+STYLE = {
+    "font.size": 11.0,
+    "axes.titlesize": 11.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "svg.hashsalt": "dual_ur10",  # the same file from the same figures
+}
+Rows = list[dict[str, Any]]
+
+
+def interval(k: int, n: int) -> tuple[float, float]:
+    """Return Wilson's 95 % interval of k successes of n, in percent."""
+    z2 = 1.959964**2
+    middle, width = k + z2 / 2, (z2 * (k * (n - k) / n + z2 / 4)) ** 0.5
+    return 100 * (middle - width) / (n + z2), 100 * (middle + width) / (n + z2)
+
+
+def _labelled(axis: Any, rows: Rows) -> Any:
+    """Put the labels of rows at the left, the first one on top, and return their heights."""
+    heights = np.arange(len(rows))[::-1]
+    axis.set_yticks(heights, [each["label"] for each in rows])
+    axis.tick_params(axis="y", length=0)
+    axis.grid(axis="x", alpha=0.3)
+    axis.set_ylim(-0.6, len(rows) - 0.4)
+    return heights
+
+
+def success(axis: Any, rows: Rows) -> None:
+    """Draw a point with its interval for each row."""
+    for height, each in zip(_labelled(axis, rows), rows, strict=True):
+        percent, (low, high) = 100 * each["k"] / each["n"], interval(each["k"], each["n"])
+        axis.plot([low, high], [height, height], color=OURS, lw=2)
+        axis.plot(percent, height, "o", color=OURS, ms=6)
+        axis.text(min(low, 96) - 2, height, f"{each['k']}", ha="right", va="center")
+    axis.set_xlim(0, 102)
+    axis.set_xlabel("%")
+
+
+def speed(axis: Any, rows: Rows) -> None:
+    """Draw three bars for each row: another simulator, one environment, 64 environments."""
+    kinds = (
+        ("peer", "robosuite 1.5.2", PEER),
+        ("one", "one environment", LIGHT),
+        ("batch", "64 environments", OURS),
+    )
+    for height, each in zip(_labelled(axis, rows), rows, strict=True):
+        for place, (kind, label, colour) in zip((0.27, 0.0, -0.27), kinds, strict=True):
+            first = label if each is rows[0] else None
+            axis.barh(height + place, each[kind], height=0.25, color=colour, label=first)
+            axis.text(each[kind] + 1, height + place, f"{each[kind]:g}", va="center")
+    axis.set_xlim(0, 92)
+    axis.legend(frameon=False, loc="upper right", fontsize=10)
+
+
+def two_arms(axis: Any, rows: Rows) -> None:
+    """Draw each row as a ratio of its goal, on a quiet and on a busy machine."""
+    for height, each in zip(_labelled(axis, rows), rows, strict=True):
+        for kind, filled, above in (("quiet", OURS, 9), ("busy", "white", -19)):
+            ratio, first = each[kind] / each["goal"], kind if each is rows[0] else None
+            axis.plot(ratio, height, "o", ms=8, mfc=filled, mec=OURS, mew=1.5, ls="", label=first, clip_on=False)
+            place = {"xytext": (0, above), "textcoords": "offset points", "ha": "center"}
+            box = {"facecolor": "white", "edgecolor": "none", "pad": 1}  # the line of the goal does not cross it
+            axis.annotate(f"{each[kind]:g}", (ratio, height), bbox=box, **place)
+    axis.axvline(1.0, color=BAD, lw=1.5)
+    axis.set_xticks([0, 1, 2], ["0", "goal", "2"])
+    axis.set_xlim(-0.08, 2.2)
+    axis.legend(frameon=False, loc="upper right", fontsize=10)
+
+
+def returns(axis: Any, rows: Rows) -> None:
+    """Draw the return of each training over its steps."""
+    for each, colour, line in zip(rows, ("#3f51b5", "#3f51b5", "#ef6c00", "#2e7d32", "#9e9e9e"), "-:---", strict=False):
+        axis.plot(each["thousand_steps"], each["return"], line, color=colour, marker="o", ms=3, label=each["label"])
+    axis.set_xlim(0, 620)
+    axis.set_ylim(0, 780)
+    axis.set_xlabel("thousand steps")
+    axis.set_ylabel("return (script: 750)")
+    axis.grid(alpha=0.3)
+    axis.legend(frameon=False, fontsize=9.5, loc="center right")
+
+
+def noise(axis: Any, rows: Rows) -> None:
+    """Draw the flange error of an exact policy over the deviation of its actions."""
+    for each, colour in zip(rows, (OURS, "#ef6c00"), strict=True):
+        axis.loglog(each["deviation"], each["flange_error_mm"], color=colour, marker="o", ms=4, label=each["label"])
+    axis.set_xticks([0.003, 0.01, 0.03, 0.1], ["0.003", "0.01", "0.03", "0.1"])
+    axis.set_yticks([0.3, 1, 3, 10], ["0.3", "1", "3", "10"])
+    axis.set_xlabel("standard deviation, fraction of the speed limit")
+    axis.set_ylabel("flange error, mm")
+    axis.grid(alpha=0.3)
+    axis.legend(frameon=False, fontsize=9.5)
+
+
+def stages(axis: Any, rows: Rows) -> None:
+    """Draw the stages of Handover that each training passed."""
+    for each in rows:
+        axis.plot(each["thousand_steps"], each["stages"], color=LIGHT, marker="o", ms=3)
+    axis.axhline(7, color=BAD, lw=1.5)
+    axis.text(990, 6.75, "success", color=BAD, ha="right", va="top")
+    axis.axhline(5, color=PEER, lw=1.0, ls="--")
+    axis.text(990, 5.1, "both arms hold the block", color="#616161", ha="right", va="bottom")
+    axis.set_ylim(0, 7.3)
+    axis.set_xlim(0, 1020)
+    axis.set_xlabel("thousand steps")
+    axis.set_ylabel("stages passed, of 7")
+    axis.grid(alpha=0.3)
+
+
+PLOTS: dict[str, tuple[str, Callable[[Any, Rows], None]]] = {
+    "success": ("reference/benchmarks", success),
+    "speed": ("reference/benchmarks", speed),
+    "two_arms": ("reference/benchmarks", two_arms),
+    "returns": ("decisions/stock-learners", returns),
+    "noise": ("decisions/stock-learners", noise),
+    "stages": ("decisions/stock-learners", stages),
+}
+"""Page and function of each plot by its name in the JSON of the page."""
+
+
+def digest(plot: dict[str, Any]) -> str:
+    """Return a hash of the figures of a plot, which its file holds."""
+    return hashlib.sha256(json.dumps(plot, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def main() -> None:
+    """Draw all plots into docs/images."""
+    plt.rcParams.update(STYLE)
+    for name, (page, draw) in PLOTS.items():
+        plot = json.loads((DOCS / f"{page}.json").read_text())[name]
+        figure, axis = plt.subplots(figsize=(5.2, 3.0), layout="constrained")
+        draw(axis, [each for each in plot["rows"] if each.get("drawn", True)])
+        figure.suptitle(plot["title"], fontsize=11.5, x=0.01, ha="left", fontweight="bold")
+        about = {"Date": None, "Source": digest(plot)}
+        figure.savefig(DOCS / "images" / f"figure_{name}.svg", metadata=about)
+        plt.close(figure)
+
+
+if __name__ == "__main__":
+    main()

@@ -45,7 +45,7 @@ VIDEOS = {
         "SineTracking --policy sine_ppo --seconds 8",
         "PPO from scratch",
         "Stock Stable-Baselines3 with the README's settings: <code>python examples/train_with_sb3.py PPO --seed 2 "
-        "--out sine_ppo</code>.",
+        "--out sine_ppo</code>",
     ),
     "sine-tracking-random": (
         "SineTracking --policy scripted --randomization mild --seed 1 --seconds 8",
@@ -93,7 +93,7 @@ VIDEOS = {
         "Handover --policy handover_ppo/policy --speed 2",
         "PPO from scratch",
         "From rewards alone, and slower than the others: <code>dual-ur10 train Handover --algo ppo --seed 2 "
-        "--out handover_ppo</code>.",
+        "--out handover_ppo</code>",
     ),
     "handover-random": (
         "Handover --policy learned --randomization wide --seed 1 --speed 1.5",

@@ -57,7 +57,7 @@ SOURCES = [
         r"(?P<stock>(?P<stock0>\d+), (?P<stock1>\d+) and (?P<stock2>\d+) of 100) episodes, [^%]*% of the return, "
         r"flange errors of (?P<stock_mm>(?P<stock0_mm>\S+), (?P<stock1_mm>\S+) and (?P<stock2_mm>\S+)) mm, after "
         r"\S+ steps and "
-        r"(?P<stock_minutes>(?P<stock0_min>\S+), (?P<stock1_min>\S+) and (?P<stock2_min>\S+)) minutes",
+        r"(?P<stock0_min>\S+), (?P<stock1_min>\S+) and (?P<stock2_min>\S+) minutes",
     ),
     (BENCHMARKS, r"^- Twenty demonstrations, .*: (?P<twenty>\d+ of \d+) .* in (?P<twenty_minutes>\S+) minutes"),
     (BENCHMARKS, r"^\| one arm stops: .* \| (?P<stop>\d+) cycles \| (?P<stop_busy>\d+) cycles \|"),
@@ -208,8 +208,6 @@ STATEMENTS = [
     ),
     (ENVIRONMENTS, "Instead of {SineTracking_both} to {SyncCarry_both} numbers"),
     (ENVIRONMENTS, "it has {SineTracking_goals} to {Handover_goals}, each float32"),
-    ("CHANGELOG.md", "({Handover_arm} and {SyncCarry_arm} numbers)"),
-    ("CHANGELOG.md", "({SineTracking_both} numbers)"),
     # Constants of the code.
     (
         RUN_AND_STOP,
@@ -257,8 +255,11 @@ STATEMENTS = [
     (README, "{stop} control periods later in all 200 trials, at most {stop_busy} when the machine is busy."),
     (README, "both at rest after at most {killed} ms, {killed_busy} ms when busy |"),
     (README, "does not succeed in every handover: {ppo_handover} |"),
-    (README, "succeeds in {stock} unseen episodes, with flange errors of {stock_mm} mm, after {stock_minutes} minutes"),
-    ("docs/how-to/train-your-own.md", "{stock} episodes after {stock_minutes} minutes"),
+    (
+        README,
+        "succeeds in {stock} unseen episodes, with flange errors of {stock_mm} mm. A training takes {stock2_min} min",
+    ),
+    ("docs/how-to/train-your-own.md", "{stock} episodes. A training takes {stock2_min} minutes with a core to itself"),
     (README, "succeeds in {wide_script} episodes (scripted) and {wide_learned} of 300 (learned)"),
     (README, 'so that only the rest is "wide": {wide_known} (scripted)'),
     ("docs/decisions/own-inverse-kinematics.md", "ours takes {inverse_single} µs and {inverse_batch} µs since the"),

@@ -408,7 +408,7 @@ PYTHON = [path for path in PAGES if any(blocks(path, "python"))]
 
 @pytest.mark.parametrize("path", PYTHON, ids=page_id)
 def test_python_blocks_run(path, workplace, tmp_path):
-    code = re.sub(r"\.learn\([\d_]+\)", ".learn(1024)", "\n".join(blocks(path, "python")))
+    code = re.sub(r"\.learn\([\d_]+", ".learn(1024", "\n".join(blocks(path, "python")))
     if "stable_baselines3" in code:
         pytest.importorskip("stable_baselines3")
     if any(each in code for each in ("EmulatedCell(", "emulated_cell", "EmulatedController(")):

@@ -324,6 +324,7 @@ def test_the_start_for_learners_is_what_the_example_runs():
             named[ast.unparse(node.func)] = given, [ast.unparse(each) for each in node.args]
     (settings,) = (node.value for node in told.body if "settings" in ast.unparse(node).split(" =")[0])
     entries = _texts(settings) | named["PPO"][0]
+    assert entries.pop("verbose") == "1"
     assert entries == _texts(targets["SETTINGS"])["PPO"]
     assert len(entries) <= 5
     keywords, (task, cells) = named["JointVecEnv"]

@@ -2,6 +2,8 @@
 
 import itertools
 import math
+import signal
+import sys
 import threading
 
 import pytest
@@ -158,12 +160,27 @@ def test_an_error_ends_its_actor_alone_and_is_kept(scheduler, clock):
     assert seen == ["good"]
 
 
-def test_an_interrupt_in_an_actor_reaches_the_program(scheduler, clock):
-    def interrupted():
-        raise KeyboardInterrupt
+def test_ctrl_c_interrupts_the_program_at_once_and_no_actor(scheduler, clock):
+    seen = []
 
-    scheduler.start(interrupted, scheduler.program, "interrupted")
+    def work():
+        clock.sleep(1.0)
+        signal.raise_signal(signal.SIGINT)
+        for _ in range(3):
+            clock.sleep(1.0)
+            seen.append(elapsed(scheduler))
+
+    scheduler.start(work, scheduler.program, "busy")
     with pytest.raises(KeyboardInterrupt):
+        clock.sleep(1e9)
+    assert elapsed(scheduler) == 1.0
+    clock.sleep(10.0)
+    assert seen == [2.0, 3.0, 4.0]
+
+
+def test_an_exit_in_an_actor_reaches_the_program(scheduler, clock):
+    scheduler.start(sys.exit, scheduler.program, "leaves")
+    with pytest.raises(SystemExit):
         clock.sleep(1.0)
     clock.sleep(1.0)  # which goes on
 

@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+import signal
 import subprocess
 import sys
 
@@ -14,6 +15,8 @@ from dual_ur10.errors import CellFaulted, SettingsError, UnknownNameError, Virtu
 from dual_ur10.policies import load
 from dual_ur10.sim2real.processes.system import System
 from dual_ur10.testing import VirtualCell, check_policy
+from tests.cli.command import run
+from ur_emulator.emulator import Emulator
 
 
 def episode(steps=30, fault=None, observation="state", **options):
@@ -103,6 +106,19 @@ VirtualCell()"""
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert found.returncode == 1
     assert f'pip install "dual-ur10[{extra}]"' in found.stderr
+
+
+def test_ctrl_c_while_a_controller_computes_ends_a_rollout_without_an_alarm(monkeypatch):
+    tick = Emulator.tick
+
+    def interrupted(self):
+        if self.ticks == 400:  # both arms move
+            signal.raise_signal(signal.SIGINT)
+        tick(self)
+
+    monkeypatch.setattr(Emulator, "tick", interrupted)
+    code, text = run("rollout", "SineTracking", "--cell", "virtual", "-n", "1", "--no-record")
+    assert (code, text) == (130, "interrupted: both arms have stopped\n")
 
 
 def test_an_unknown_process_is_named():

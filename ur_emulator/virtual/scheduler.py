@@ -15,6 +15,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Any, Final
 
 from dual_ur10.errors import MissingExtraError, VirtualCellError
+from dual_ur10.sim2real.processes.interrupts import interrupts_deferred
 
 try:
     from greenlet import GreenletExit as GreenletExit
@@ -156,7 +157,7 @@ class Scheduler:
             except Exception as error:
                 log.exception("%s: it ended with an error", name)
                 self.failures.append((name, error))
-            except BaseException:  # such as an interrupt, for the program
+            except BaseException:  # such as an exit, for the program
                 actor.killed = True
                 self._end(actor)
                 self.current = self._main
@@ -253,7 +254,12 @@ class Scheduler:
         following = self._next()
         if following is not actor:
             self.current = following
-            following.greenlet.switch()
+            if actor is self._main:
+                # Ctrl-C is for the program: it must not end whichever actor computes just then.
+                with interrupts_deferred(lambda: self._wake(actor, self.now_s)):
+                    following.greenlet.switch()
+            else:
+                following.greenlet.switch()
         actor.due_s = math.inf
         actor.ticket += 1
         if actor.group.ended:

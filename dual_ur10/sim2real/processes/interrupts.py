@@ -10,7 +10,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, Final
 
 INTERRUPTED: Final = 130
@@ -54,17 +54,25 @@ def _is_program() -> bool:
 
 
 @contextlib.contextmanager
-def interrupts_deferred() -> Iterator[None]:
+def interrupts_deferred(notify: Callable[[], None] = lambda: None) -> Iterator[None]:
     """Defer SIGINT to the end of the `with` block, which must take a bounded time.
 
     Only the main thread is interrupted, so elsewhere this does nothing.
+
+    Args:
+        notify: Called when one comes, to shorten the block.
     """
     # None: the handler is not Python's, and cannot be restored.
     if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) is None:
         yield
         return
     waiting: list[tuple[Any, ...]] = []
-    before = signal.signal(signal.SIGINT, lambda *heard: waiting.append(heard))
+
+    def defer(*heard: Any) -> None:
+        waiting.append(heard)
+        notify()
+
+    before = signal.signal(signal.SIGINT, defer)
     try:
         yield
     finally:

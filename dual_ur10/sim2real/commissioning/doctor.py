@@ -42,7 +42,7 @@ from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.links import dashboard_link, primary_link, rtde_link
 from dual_ur10.sim2real.links.arm_status import OPTIONAL_VARIABLES, STATUS_VARIABLES, ArmStatus
 from dual_ur10.sim2real.links.dashboard_link import DashboardLink
-from dual_ur10.sim2real.links.link_socket import LinkSocket
+from dual_ur10.sim2real.links.link_socket import NO_ANSWER, LinkSocket
 from dual_ur10.sim2real.links.primary_link import PrimaryFacts, read_primary
 from dual_ur10.sim2real.links.rtde_link import RtdeClient, RtdeLink
 from dual_ur10.sim2real.links.rtde_stream import Sample
@@ -109,7 +109,7 @@ class _ArmFacts:
 
 
 def check_file(cell: CellFile, system: System = LOCAL, *, timeout_s: float = 1.5) -> list[Finding]:
-    """Check both arms of a cell file. If the emulator that wrote it has ended, that is the first finding that fails.
+    """Check both arms of a cell file. If the emulator of an emulated cell does not run, that is the first failure.
 
     It is the only one if nothing answers: closed ports follow from it.
 
@@ -119,13 +119,29 @@ def check_file(cell: CellFile, system: System = LOCAL, *, timeout_s: float = 1.5
         timeout_s: Time limit of each connection with all its requests.
     """
     findings = check_cell(*(expected_of(arm) for arm in cell.arms), timeout_s=timeout_s, system=system)
+    if cell.kind != "emulated" or not any_fails(findings):
+        return findings
+    of_arms = [each for each in findings if each.arm in ARMS]
+    is_silent = all(each.name.startswith(_CLOSED) and NO_ANSWER not in each.found for each in of_arms)
     pid = None if cell.emulator is None else cell.emulator.pid
-    if pid is not None and any_fails(findings) and not system.is_running(pid):
+    if pid is not None and not system.is_running(pid):
         remedy = "start it again: `python -m dual_ur10 emulate --cell FILE` writes that file anew"
-        ended = Finding("cell", "emulator", "fail", f"process {pid} has ended", "running", remedy)
-        answered = [each for each in findings if each.arm in ARMS and not each.name.startswith(_CLOSED)]
-        findings = [ended, *findings] if answered else [ended]
-    return findings
+        stopped = Finding("cell", "emulator", "fail", f"process {pid} has ended", "running", remedy)
+    elif is_silent:
+        hosts = " and ".join(arm.host for arm in cell.arms)
+        remedy = f"start it in another terminal: `{_emulate(cell)}`"
+        stopped = Finding("cell", "emulator", "fail", f"nothing runs at {hosts}", "running", remedy)
+    else:
+        return findings
+    return [stopped] if is_silent else [stopped, *findings]
+
+
+def _emulate(cell: CellFile) -> str:
+    """Return the command that emulates a cell whose file it did not write."""
+    robots = ",".join(dict.fromkeys(arm.robot for arm in cell.arms))
+    task = "" if cell.task is None else f" --task {cell.task}"
+    left, right = cell.arms
+    return f"python -m dual_ur10 emulate --left {left.host} --right {right.host} --robot {robots}{task}"
 
 
 def check_cell(

@@ -35,6 +35,7 @@ from dual_ur10.sim2real.links.rtde_stream import Sample
 from dual_ur10.sim2real.processes.system import LOCAL
 from dual_ur10.sim2real.protocol.primary_packet import kinematics_checksums
 from dual_ur10.sim2real.protocol.rtde import Kind
+from dual_ur10.testing import VirtualCell
 from tests.sim2real.statuses import status_of
 from ur_emulator.profile import PROFILES
 
@@ -556,3 +557,17 @@ def test_arguments_that_are_not_legal_are_one_line_and_exit_code_2(arguments, wo
     assert code == 2
     assert word in text
     assert len(text.strip().splitlines()) == 1
+
+
+def test_an_emulated_cell_with_nothing_running_is_one_line_with_the_command_that_starts_it():
+    arms = {"left": {"host": "127.0.0.2", "model": "ur5e"}, "right": {"host": "127.0.0.3", "model": "ur10e"}}
+    for each in arms.values():
+        each["family"] = "e-series"
+    cell = CellFile.read({"kind": "emulated", **arms, "task": "DualUR10/Handover-v0"}, "e.toml")
+    with VirtualCell() as other:
+        other.end("emulated cell")
+        (only,) = doctor.check_file(cell, other.system)
+    assert only.message == (
+        "cell, emulator: nothing runs at 127.0.0.2 and 127.0.0.3, expected: running; start it in another terminal: "
+        "`python -m dual_ur10 emulate --left 127.0.0.2 --right 127.0.0.3 --robot ur5e,ur10e --task DualUR10/Handover-v0`"
+    )

@@ -40,7 +40,7 @@ _MARKS = {"ok": "[green]ok[/]", "warn": "[yellow]warn[/]", "fail": "[bold red]fa
 
 def doctor(
     cell: Annotated[
-        Path | None, typer.Option("--cell", metavar="FILE", help="A cell file; without one, name both addresses.")
+        Path | None, typer.Option("--cell", metavar="FILE", help="A cell file; or name both addresses.")
     ] = None,
     left: Left = None,
     right: Right = None,
@@ -50,16 +50,21 @@ def doctor(
         bool, typer.Option("--json", help="Print the checks as an array of JSON, and no table.")
     ] = False,
 ) -> None:
-    """Check two UR controllers and report problems with their remedies. Nothing moves. Exit code 1 if a check fails."""
+    """Check this machine and two UR controllers, and report problems with their remedies. Exit code 1 if a check fails.
+
+    Nothing moves. Without a cell file and without addresses this machine alone is checked.
+    """
     from dual_ur10.sim2real.commissioning.doctor import check_cell, check_file
     from dual_ur10.sim2real.commissioning.findings import ExpectedArm, any_fails
+    from dual_ur10.sim2real.commissioning.installation import mujoco_finding
 
+    findings = [mujoco_finding()]
     if cell is not None and left is None and right is None:
-        findings = check_file(load_cell_file(cell))
+        findings += check_file(load_cell_file(cell))
     elif cell is None and left is not None and right is not None:
         controllers = cast(Family, family_of(family, robot))
-        findings = check_cell(*(ExpectedArm(host=host, family=controllers, model=robot) for host in (left, right)))
-    else:
+        findings += check_cell(*(ExpectedArm(host=host, family=controllers, model=robot) for host in (left, right)))
+    elif cell is not None or left is not None or right is not None:
         raise SettingsError("name either a cell file with --cell, or both addresses with --left and --right")
     if as_json:
         typer.echo(json.dumps([_row(each) for each in findings], indent=1))

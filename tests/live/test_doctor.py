@@ -20,5 +20,5 @@ def test_a_cell_file_states_what_is_expected(tmp_path, monkeypatch):
         done = CliRunner().invoke(cli.app, ["doctor", "--cell", str(file)], env={"COLUMNS": "250"})
         assert done.exit_code == 1
         assert "12345" in done.output
-        for arguments in ([], ["--left", cell.left], ["--cell", str(file), "--left", cell.left]):
+        for arguments in (["--left", cell.left], ["--cell", str(file), "--left", cell.left]):
             assert CliRunner().invoke(cli.app, ["doctor", *arguments]).exit_code == 2

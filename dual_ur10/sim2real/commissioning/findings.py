@@ -58,7 +58,7 @@ class Finding:
     """Result of one check.
 
     Attributes:
-        arm: "left", "right", or "cell" for both.
+        arm: "left", "right", "cell" for both, or "machine".
         name: Name of the check.
         level: "ok"; "warn" for the operator to decide; "fail" if no run may start.
         found: Value that was found.

@@ -4,6 +4,7 @@ import dataclasses
 import functools
 import json
 import re
+import sys
 
 import numpy as np
 import pytest
@@ -543,6 +544,15 @@ def test_rows_in_json(cb3):
     assert mode["status"] == "fail"
     assert "PROTECTIVE" in mode["found"]
     assert {row["status"] for row in rows} == {"ok", "warn", "fail"}
+
+
+def test_without_a_cell_the_machine_alone_is_checked(monkeypatch):
+    code, text = run()
+    assert (code, text.splitlines()[-1]) == (0, "1 ok, 0 warnings, 0 failed")
+    monkeypatch.setitem(sys.modules, "mujoco", None)  # as an upgrade in place from 3 to 4 leaves it
+    code, text = run()
+    assert code == 1
+    assert "pip install --force-reinstall --no-deps mujoco mujoco-core mujoco-studio" in text
 
 
 @pytest.mark.parametrize(

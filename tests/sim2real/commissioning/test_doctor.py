@@ -579,5 +579,6 @@ def test_an_emulated_cell_with_nothing_running_is_one_line_with_the_command_that
         (only,) = doctor.check_file(cell, other.system)
     assert only.message == (
         "cell, emulator: nothing runs at 127.0.0.2 and 127.0.0.3, expected: running; start it in another terminal: "
-        "`python -m dual_ur10 emulate --left 127.0.0.2 --right 127.0.0.3 --robot ur5e,ur10e --task DualUR10/Handover-v0`"
+        "`python -m dual_ur10 emulate --left 127.0.0.2 --right 127.0.0.3 --robot ur5e,ur10e "
+        "--task DualUR10/Handover-v0`"
     )

@@ -146,7 +146,7 @@ docs: $(VENV)/.dev $(KERNEL)  ## build the documentation site into out/site, str
 	@found=$$(PYTHONPATH=. NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict --site-dir out/site 2>&1) || \
 	  { echo "$$found" | grep -v '^INFO'; exit 1; }
 
-media: $(VENV)/.dev $(KERNEL)  ## make the videos and pictures of the documentation anew: some minutes, software OpenGL
+media: $(VENV)/.dev $(KERNEL)  ## make the videos and pictures of the documentation anew: half an hour without a GPU
 	@MUJOCO_GL=$(or $(MUJOCO_GL),egl) PYTHONPATH=. $(VENV)/bin/python docs/media.py
 	@$(VENV)/bin/python docs/figures.py
 

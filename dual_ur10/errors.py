@@ -131,7 +131,7 @@ class ClosedError(DualUR10Error, RuntimeError):
 
 
 class ResetNeededError(DualUR10Error, RuntimeError):
-    """Raised when `step` is called before the first reset, or after the end of an episode."""
+    """Raised when `step` is called before the first reset, or after an episode that terminated."""
 
 
 class ResetRefusedError(SettingsError):

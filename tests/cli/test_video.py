@@ -90,6 +90,7 @@ def test_it_writes_a_video_of_cameras_side_by_side(tmp_path: Path) -> None:
         (["--cameras", ","], "0 cameras: name 1 to 9"),
         (["--speed", "0"], "speed is 0: it must be 0.01 to 100"),
         (["--width", "0"], "width is 0: it must be a whole number of pixels"),
+        (["--width", "3"], "pictures of 3 × 36 pixels: the caption needs 32 each way or more"),
         (["-o", "{}/film.avi"], ".avi is unknown: use .mp4 or .gif"),
         (["-o", "{}/none/film.mp4"], "does not exist: make it first"),
     ],

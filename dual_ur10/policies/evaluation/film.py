@@ -29,6 +29,9 @@ from dual_ur10.types import Array
 Picture = NDArray[np.uint8]
 
 _INK, _PAPER, _DIM, _GOOD, _BAD = (38, 50, 56), (255, 255, 255), (120, 138, 148), (120, 214, 150), (255, 167, 100)
+LEAST_PIXELS: Final = 32
+"""Smallest width and height of a picture with a caption."""
+
 _HOLD_S: Final = 1.0  # of the last frame, which shows the end
 _LABEL_M: Final = np.array([0.0, 0.0, -0.1])  # from a base to the name of its arm, which covers the pedestal
 
@@ -259,6 +262,8 @@ def check_view(
     if not 1 <= len(cameras) <= 9:
         raise SettingsError(f"{len(cameras)} cameras: name 1 to 9")
     check_size(width, height)
+    if min(width, height) < LEAST_PIXELS:
+        raise SettingsError(f"pictures of {width} × {height} pixels: the caption needs {LEAST_PIXELS} each way or more")
     if not 1.0 <= zoom <= 10.0:
         raise SettingsError(f"zoom is {zoom:g}: it must be 1 to 10")
     if not 0.01 <= speed <= 100.0:
@@ -339,7 +344,8 @@ class _Studio:
         count = len(shown.stages)
         for number in range(count if "stage" in info else 0):
             passed = number < int(info["stage"])
-            left, right = width * number / count, width * (number + 1) / count - 2
+            left = width * number / count
+            right = max(left, left + width / count - 2)  # of many stages one is narrow
             top = height - tall - max(3, size // 4)
             draw.rectangle((left, top, right, height - tall - 1), fill=_GOOD if passed else _DIM)
         font, parts = _font(size), [each for each in (title, text, clock) if each]

@@ -114,11 +114,11 @@ def check_new(dataset_id: str) -> None:
     """
     minari = _minari()
     try:
-        if dataset_id in minari.list_local_datasets():
-            raise DatasetError(f"the dataset {dataset_id} exists, and nothing is overwritten: choose another name")
         minari.dataset.minari_dataset.parse_dataset_id(dataset_id)
     except ValueError as error:
         raise DatasetError(f"{dataset_id!r:.80} is no name of a dataset: {error}") from None
+    if dataset_id in minari.list_local_datasets():
+        raise DatasetError(f"the dataset {dataset_id} exists, and nothing is overwritten: choose another name")
 
 
 def _batch(env: Any, actor: Any, seeds: range, count: int, number: int) -> list[Episode]:
@@ -203,6 +203,11 @@ def read_dataset(dataset_id: str, view: EnvironmentView) -> tuple[Single, Single
     try:
         dataset = minari.load_dataset(dataset_id)
         spec = dataset.storage.metadata.get("env_spec")
+    except FileNotFoundError as error:
+        raise DatasetError(
+            f"there is no whole dataset {dataset_id!r:.120} on this machine: make one with `collect`, or fetch a "
+            "published one with `minari download`"
+        ) from error
     except Exception as error:  # Minari raises what its storage does
         raise DatasetError(f"the dataset {dataset_id!r:.120} cannot be read: {error!s:.200}") from error
     _check(dataset_id, spec, view)

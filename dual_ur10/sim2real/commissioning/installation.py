@@ -6,9 +6,9 @@ from dual_ur10.sim2real.commissioning.findings import Finding
 
 
 def mujoco_finding() -> Finding:
-    """Return whether MuJoCo can be imported.
+    """Check that MuJoCo can be imported.
 
-    `pip install -U mujoco` from 3 to 4 leaves it incomplete: the files of the new `mujoco-core` are removed with the old
+    `pip install -U mujoco` from 3 to 4 leaves it incomplete: files of the new `mujoco-core` are removed with the old
     `mujoco`, which had the same names.
     """
     try:

@@ -197,7 +197,7 @@ def test_illegal_names_are_refused_before_anything_runs(name, monkeypatch):
 
 @pytest.mark.parametrize("name", ["no/such-v0", "nonsense"])
 def test_an_absent_dataset_is_refused(name):
-    with pytest.raises(DatasetError, match="cannot be read"):
+    with pytest.raises(DatasetError, match="make one with `collect`"):
         read_dataset(name, view_of(SINE, KEYWORDS))
 
 
@@ -262,6 +262,6 @@ def test_a_misfit_is_refused_before_anything_is_made(tmp_path):
     made(episodes=1)
     with pytest.raises(DatasetError, match="with rate"):
         train(small("bc", dataset="ur10/sine/scripted-v0", keywords={"action_latency_ticks": 0}), tmp_path / "b")
-    with pytest.raises(DatasetError, match="cannot be read"):
+    with pytest.raises(DatasetError, match="no whole dataset"):
         train(small("dagger", dataset="no/such-v0"), tmp_path / "b")
     assert not (tmp_path / "b").exists()

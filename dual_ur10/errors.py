@@ -33,6 +33,7 @@ class SettingsError(DualUR10Error, ValueError):
 
 
 _MOST_COMPARED = 100  # characters; the time of a comparison grows with their square
+_NEAR = 0.7  # ratio of equal characters
 _LEAST_PART = 4  # characters by which a longer name is found
 
 
@@ -44,9 +45,10 @@ def nearest_name(found: str, allowed: Sequence[str]) -> str:
     if len(found) > _MOST_COMPARED:
         return ""
     forms = {form.casefold(): name for name in allowed for form in (name, name.rsplit("/", 1)[-1])}
-    near = difflib.get_close_matches(found.casefold(), forms, n=1, cutoff=0.7)
-    if near:
-        return forms[near[0]]
+    ratios = {form: difflib.SequenceMatcher(None, form, found.casefold()).ratio() for form in forms}
+    near = max(ratios, key=lambda form: ratios[form], default="")  # of equally near ones the first
+    if near and ratios[near] >= _NEAR:
+        return forms[near]
     longer = {name for form, name in forms.items() if len(found) >= _LEAST_PART and found.casefold() in form}
     return longer.pop() if len(longer) == 1 else ""
 

@@ -5,7 +5,11 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import logging
-from collections.abc import Mapping
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from types import ModuleType
 from typing import Any, Final
 
 from dual_ur10.errors import SettingsError, UnknownNameError
@@ -82,15 +86,35 @@ FAILED_ENTRY_POINTS: Final[dict[str, str]] = {}
 """Reasons for which entry points of `discover` could not be loaded, by "name = value"."""
 
 _loaded: set[str] = set()
+_received: ContextVar[str] = ContextVar("received", default="")
+
+
+@contextmanager
+def received(source: str) -> Iterator[None]:
+    """Import nothing in the block that a "module:NAME" in received data names.
+
+    Records, checkpoints and datasets may come from anybody. They name registered things, and what this program has
+    imported already; a cell file and a program may name any module.
+
+    Args:
+        source: Noun for messages, such as "the recording".
+    """
+    token = _received.set(source)
+    try:
+        yield
+    finally:
+        _received.reset(token)
 
 
 def discover() -> None:
     """Load the entry points of `ENTRY_POINT_GROUP`, each once, so that the tasks of installed packages are registered.
 
-    One that fails is kept in `FAILED_ENTRY_POINTS`, and reported as a warning; the others are loaded nevertheless.
+    One that fails, or ends the program, is kept in `FAILED_ENTRY_POINTS`, and reported as a warning; the others are
+    loaded nevertheless. Ctrl-C ends the program.
     """
     from importlib.metadata import entry_points  # not at import: the processes of arms do without
 
+    log = logging.getLogger(__name__)
     for point in entry_points(group=ENTRY_POINT_GROUP):
         name = f"{point.name} = {point.value}"
         if name in _loaded:
@@ -98,9 +122,12 @@ def discover() -> None:
         _loaded.add(name)
         try:
             point.load()
-        except Exception as error:  # a package of others may raise anything
+        except (Exception, SystemExit) as error:  # a package of others may raise anything
             FAILED_ENTRY_POINTS[name] = f"{type(error).__name__}: {error}"
-            logging.getLogger(__name__).warning("the entry point %s of %s failed: %s", name, ENTRY_POINT_GROUP, error)
+            log.warning("the entry point %s of %s failed: %s", name, ENTRY_POINT_GROUP, FAILED_ENTRY_POINTS[name])
+        except KeyboardInterrupt:
+            log.warning("interrupted in the entry point %s of %s", name, ENTRY_POINT_GROUP)
+            raise
 
 
 def is_registered(env_id: str) -> bool:
@@ -115,39 +142,39 @@ def env_id_of(name: str) -> str:
 
     The namespace, the version or both may be left out: "Handover", "Handover-v0" and "DualUR10/Handover-v0" are the
     same. A name without a namespace means the task of this package, if it has one. A name without a version means the
-    newest. As for `gym.make`, "module:id" imports the module first. For a name that is unknown, the entry points of
-    installed packages are loaded.
+    newest. As for `gym.make`, "module:id" imports the module first. A name that is none of this package's is looked up
+    among those of installed packages, too.
 
     Raises:
-        UnknownNameError: There is no such environment, or several namespaces other than that of this package have it.
-        SettingsError: The module before the colon cannot be imported.
+        UnknownNameError: There is no such environment.
+        SettingsError: It is no name, several namespaces other than that of this package have it, or the module before
+            the colon cannot be imported.
     """
+    if not isinstance(name, str):
+        raise SettingsError(f'the environment is {name!r:.80}: pass its id, such as "Handover"')
     module, colon, name = name.rpartition(":")
     if colon:
-        try:
-            importlib.import_module(module)
-        except (ImportError, ValueError) as error:
-            raise SettingsError(
-                f"the module {module!r}, which is to register {name!r}, cannot be imported: {error}. Run this where "
-                "Python finds it, or install its package"
-            ) from error
+        _import(module, f"the module {module!r}, which is to register {name!r},")
     if name in TASKS:
         return name
-    fitting = _fitting(name)
+    fitting = [env_id for env_id in _fitting(name) if env_id in ENV_IDS]
+    if not fitting and is_registered(name):
+        return name
+    fitting = fitting or _fitting(name)
     if not fitting:
-        discover()
-        fitting = _fitting(name)
-    if len({env_id.split("/")[0] for env_id in fitting}) != 1:
         failed = "".join(f"; the tasks of {point} are missing, {why}" for point, why in FAILED_ENTRY_POINTS.items())
-        other = f"module:id of a module that registers it{failed}"
-        raise UnknownNameError("environment", str(name), fitting or list(TASKS), "" if fitting else other)
+        raise UnknownNameError("environment", name, list(TASKS), f"module:id of a module that registers it{failed}")
+    if len({env_id.split("/")[0] for env_id in fitting}) > 1:
+        raise SettingsError(
+            f"the environment {name!r} is ambiguous: it may be {' or '.join(map(repr, fitting))}. Name one with its "
+            "namespace"
+        )
     return max(fitting, key=lambda env_id: int(env_id.rsplit("-v", 1)[1]))
 
 
 def _fitting(name: str) -> list[str]:
     """Return the ids that a shorter name may mean."""
-    fitting = [env_id for env_id in TASKS if name in _short_forms(env_id)]
-    return [env_id for env_id in fitting if env_id in ENV_IDS] or fitting
+    return [env_id for env_id in TASKS if name in _short_forms(env_id)]
 
 
 def _short_forms(env_id: str) -> tuple[str, str, str]:
@@ -155,21 +182,41 @@ def _short_forms(env_id: str) -> tuple[str, str, str]:
     return versioned, unversioned, unversioned.split("/")[1]
 
 
-def load_object(path: str, kind: str) -> Any:
+def load_object(path: str, kind: str, *, registered: bool = False) -> Any:
     """Import an object, "module:name".
 
     Args:
         path: Module and name.
         kind: Noun for the message, such as "the task of MyLab/Reach-v0".
+        registered: The path is that of something registered, and was not received.
 
     Raises:
-        SettingsError: The module cannot be imported, or has no such name.
+        SettingsError: The module cannot be imported, or has no such name; or data that were received name it, and it
+            was not imported before.
     """
     module, _, name = path.partition(":")
+    found = _import(module, f"{kind}, {path!r},", registered=registered)
     try:
-        return getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError, ValueError) as error:
+        # A module may run code for a name that it does not have.
+        return getattr(found, name) if registered or not _received.get() else vars(found)[name]
+    except Exception as error:
+        raise SettingsError(f"{kind}, {path!r}, cannot be imported: {error}. Name what {module!r} defines") from error
+
+
+def _import(module: str, what: str, *, registered: bool = False) -> ModuleType:
+    """Return a module, which is imported unless received data name it."""
+    if (source := _received.get()) and not registered:
+        discover()
+        if module not in sys.modules:
+            raise SettingsError(
+                f"{what} is named by {source}, and nothing is imported for what was received: import {module!r} in "
+                f"your program first, or install a package with an entry point of {ENTRY_POINT_GROUP!r} for it"
+            )
+        return sys.modules[module]
+    try:
+        return importlib.import_module(module)
+    except (Exception, SystemExit) as error:  # a module of others may raise anything
         raise SettingsError(
-            f"{kind}, {path!r}, cannot be imported: {error}. Run this where Python finds {module!r}, and name what it "
-            "defines"
+            f"{what} cannot be imported: {type(error).__name__}: {error}. Run this where Python finds {module!r}, and "
+            "name what it defines"
         ) from error

@@ -14,10 +14,12 @@ from typing import Any, ClassVar
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.spaces import Box
 
 import dual_ur10
 from dual_ur10 import envs, ids, policies
 from dual_ur10.envs import dm_env, parallel_env
+from dual_ur10.envs.api.sb3_bridge import JointVecEnv
 from dual_ur10.envs.core.follower import home_of
 from dual_ur10.envs.core.setup import load_task
 from dual_ur10.envs.tasks.sine_tracking.task import SineTracking
@@ -25,6 +27,7 @@ from dual_ur10.errors import CheckpointError, SettingsError, UnknownNameError
 from dual_ur10.ids import TASKS, env_id_of
 from dual_ur10.policies import evaluate
 from dual_ur10.policies.baselines import ZeroPolicy
+from dual_ur10.policies.evaluation.check import check_policy
 from dual_ur10.policies.learned import checkpoint
 from dual_ur10.policies.learned.signature import view_of_env
 from dual_ur10.policies.policy import as_policy
@@ -108,9 +111,12 @@ def test_a_version_of_our_own_task_has_no_policies_of_the_one_before(register):
     assert defaults("DualUR10/Handover-v1").settings == Imitation()
 
 
-def test_a_task_that_brings_nothing_has_no_policies_and_general_settings(both):
-    for name in policies.NAMES:
-        with pytest.raises(UnknownNameError, match=f"unknown policy of {V0} '{name}': use the path of a checkpoint"):
+def test_a_task_that_brings_nothing_has_its_base_class_s_script_and_general_settings(both):
+    assert policies.registry.names_for(V0) == ["scripted"]
+    assert type(policies.load("scripted", V0)) is SineTrackingPolicy
+    assert evaluate(V0, "scripted", episodes=1, env_kwargs={"duration_s": 0.4}).env_id == V0
+    for name in ids.LEARNED_NAMES:
+        with pytest.raises(UnknownNameError, match=f"unknown policy of {V0} '{name}': use one of 'scripted', or rand"):
             policies.load(name, V0)
     asked = defaults(V0, "ppo")
     assert (asked.settings, asked.steps, asked.agents) == (Reinforcement(), 1_000_000, "joint")
@@ -170,7 +176,7 @@ def test_the_namespace_of_this_package_is_its_own(register):
 def test_what_is_registered_is_checked_when_it_is_needed(register):
     register(V0, "no_such_module_here:Reach", training="no_such_module_here:PPO")
     register(V1, f"{__name__}:Tracking", training=f"{__name__}:V0")
-    with pytest.raises(SettingsError, match=r"the task of MyLab/Reach-v0.* cannot be imported: No module named"):
+    with pytest.raises(SettingsError, match=r"the task of MyLab/Reach-v0.* cannot be imported: ModuleNotFoundError"):
         gym.make(V0)
     with pytest.raises(SettingsError, match=r"is no subclass of dual_ur10.envs.tasks.task.Task"):
         gym.make(V1)
@@ -192,14 +198,17 @@ class Wave(SineTracking):
 
 @pytest.fixture
 def installed(register, tmp_path, monkeypatch):
-    """Install a package with a task, another with the same id, and one that cannot be imported; return their folder."""
+    """Install a task, another with the same id, and modules that cannot be imported; return their folder."""
     (tmp_path / "wave_task.py").write_text(PACKAGE)
     (tmp_path / "wave_again.py").write_text(PACKAGE)
     (tmp_path / "waves-1.dist-info").mkdir()
     (tmp_path / "waves-1.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: waves\nVersion: 1\n")
     (tmp_path / "waves-1.dist-info" / "entry_points.txt").write_text(
-        "[dual_ur10.tasks]\nbroken = no_such_module_here\nwave = wave_task\nwave_again = wave_again\n"
+        "[dual_ur10.tasks]\nbroken = no_such_module_here\nends = ends_it\nwrong = wrong_syntax\n"
+        "wave = wave_task\nwave_again = wave_again\n"
     )
+    (tmp_path / "ends_it.py").write_text("import sys\nsys.exit(3)\n")
+    (tmp_path / "wrong_syntax.py").write_text("(\n")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(ids, "_loaded", set())
     yield tmp_path
@@ -211,10 +220,39 @@ def test_tasks_of_installed_packages_are_found_by_an_unknown_name(installed):
     assert env_id_of("Wave") == "Plugin/Wave-v0"
     assert policies.load("scripted", "Plugin/Wave-v0").timing.period_s == 0.04
     failed = ids.FAILED_ENTRY_POINTS
-    assert sorted(failed) == ["broken = no_such_module_here", "wave_again = wave_again"]
+    assert sorted(each.split()[0] for each in failed) == ["broken", "ends", "wave_again", "wrong"]
+    assert failed["ends = ends_it"] == "SystemExit: 3"
+    assert failed["wrong = wrong_syntax"].startswith("SyntaxError: '(' was never closed")
     assert "registered by another package" in failed["wave_again = wave_again"]
     with pytest.raises(UnknownNameError, match="the tasks of broken = no_such_module_here are missing, ModuleNotFound"):
         env_id_of("Wav1")
+
+
+@pytest.mark.parametrize(
+    "name", ["Plugin/Wave-v0", "Plugin/Wave", "Wave-v0", "Wave", "wave_task:Plugin/Wave-v0", "wave_task:Wave"]
+)
+@pytest.mark.parametrize(
+    "entry",
+    [
+        lambda name: policies.load("scripted", name),
+        lambda name: policies.make("scripted", name)[0].close(),
+        lambda name: evaluate(name, "zero", episodes=1, env_kwargs={"duration_s": 0.12}),
+        lambda name: parallel_env(name).close(),
+        lambda name: JointVecEnv(name, 1).close(),
+        lambda name: check_policy(ZeroPolicy(Box(-1, 1, (12,), np.float32)), name, steps=1),
+        lambda name: defaults(name, "bc"),
+    ],
+    ids=["load", "make", "evaluate", "parallel_env", "JointVecEnv", "check_policy", "defaults"],
+)
+def test_every_entry_takes_every_name_of_an_installed_task(installed, name, entry):
+    entry(name)
+
+
+def test_ctrl_c_in_a_package_names_it_and_ends_the_program(installed, caplog):
+    (installed / "ends_it.py").write_text("raise KeyboardInterrupt\n")
+    with pytest.raises(KeyboardInterrupt):
+        env_id_of("Wave")
+    assert "interrupted in the entry point ends = ends_it" in caplog.text
 
 
 def test_the_command_line_knows_tasks_of_installed_packages(installed):
@@ -223,6 +261,8 @@ def test_the_command_line_knows_tasks_of_installed_packages(installed):
     done = subprocess.run([*command, "list"], env=environment, capture_output=True, text=True, timeout=120)
     assert "Plugin/Wave-v0" in done.stdout
     assert "the entry point broken = no_such_module_here failed" in " ".join(done.stdout.split())
+    assert done.returncode == 0
+    assert "the entry point ends = ends_it failed: SystemExit: 3" in " ".join(done.stdout.split())
 
 
 def test_a_name_may_begin_with_the_module_that_registers_it(installed):
@@ -230,6 +270,11 @@ def test_a_name_may_begin_with_the_module_that_registers_it(installed):
     assert gym.make("wave_task:Plugin/Wave-v0").unwrapped.core.setup.env_id == "Plugin/Wave-v0"
     with pytest.raises(SettingsError, match="module 'no_such_module_here', which is to register 'A/B-v0', cannot be"):
         env_id_of("no_such_module_here:A/B-v0")
+    for name, error in (("ends_it", "SystemExit"), ("wrong_syntax", "SyntaxError"), ("..", "TypeError"), ("", "Val")):
+        with pytest.raises(SettingsError, match=f"module '{name}'.* cannot be imported: {error}"):
+            env_id_of(f"{name}:A/B-v0")
+        with pytest.raises(SettingsError, match=f"the policy.* cannot be imported: {error}"):
+            ids.load_object(f"{name}:Policy", "the policy")
 
 
 def test_a_name_without_a_version_is_the_newest(register):
@@ -244,9 +289,8 @@ def test_a_name_without_a_version_is_the_newest(register):
 
 def test_a_name_that_several_namespaces_have_needs_one(both, register):
     register("Other/Reach-v0", f"{__name__}:Reach")
-    with pytest.raises(UnknownNameError, match="unknown environment 'Reach'") as caught:
+    with pytest.raises(SettingsError, match=f"'Reach' is ambiguous: it may be '{V0}' or '{V1}' or 'Other/Reach-v0'"):
         env_id_of("Reach")
-    assert caught.value.allowed == (V0, V1, "Other/Reach-v0")
     assert env_id_of("Other/Reach") == "Other/Reach-v0"
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib.metadata
 import math
 import re
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
 import numpy as np
@@ -130,6 +130,21 @@ class Tool:
                 f"is {self.finger_thick_m:g}, and must be more"
             )
 
+    @classmethod
+    def received(cls, **values: Any) -> Tool:
+        """Return the tool of fields that a record holds, drawn as the registered one of its name, or from its figures.
+
+        No function is called that the record names.
+
+        Raises:
+            SettingsError: A value is not legal.
+        """
+        tool = cls(**{**values, "visuals": ""})
+        try:
+            return replace(tool, visuals=tool_named(tool.name).visuals)
+        except (SettingsError, UnknownNameError):
+            return tool
+
     def _check_drivers(self, drivers: Any) -> None:
         known = isinstance(drivers, tuple) and len(drivers) > 0
         if not (known and all(isinstance(each, str) and re.fullmatch(_DRIVERS, each) for each in drivers)):
@@ -174,7 +189,7 @@ def tool_named(name: str) -> Tool:
     """
     path = _OWN.get(name, name)
     if ":" in path:
-        tool = load_object(path, "the tool")
+        tool = load_object(path, "the tool", registered=name in _OWN)
         if not isinstance(tool, Tool):
             raise SettingsError(f"{path} is {tool!r:.80}: expected is a Tool")
         return tool
@@ -184,7 +199,7 @@ def tool_named(name: str) -> Tool:
     entry = installed[name]
     try:
         found = entry.load()
-    except Exception as error:  # of any kind: it is another package's
+    except (Exception, SystemExit) as error:  # of any kind: it is another package's
         raise SettingsError(f"the tool {name!r} cannot be loaded from {entry.value}: {error!r}") from error
     if not isinstance(found, Tool) or found.name != name:
         raise SettingsError(f"{entry.value} is {found!r:.80}: expected is a Tool with the name {name!r}")

@@ -5,7 +5,6 @@ Nothing here has mass or contacts: a model composed with `visuals=False` leaves 
 
 from __future__ import annotations
 
-import importlib
 import importlib.metadata
 import math
 from pathlib import Path
@@ -17,7 +16,8 @@ from dual_ur10.assets.pen import Pen
 from dual_ur10.assets.prop import Camera
 from dual_ur10.assets.settings import TABLE_THICKNESS_M, SceneSettings
 from dual_ur10.assets.tool import Tool
-from dual_ur10.errors import MissingExtraError, SettingsError
+from dual_ur10.errors import MissingExtraError
+from dual_ur10.ids import load_object
 from dual_ur10.kinematics.frames import FLOOR_Z_M
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.types import Vector3
@@ -148,12 +148,7 @@ def draw_gripper(arm: Any, tool: Tool) -> None:
     if not tool.visuals:
         _draw_plainly(arm, tool)
         return
-    module, _, name = tool.visuals.partition(":")
-    try:
-        draw = getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise SettingsError(f"visuals of the tool {tool.name!r} are {tool.visuals!r}: {error}") from error
-    draw(arm, tool)
+    load_object(tool.visuals, f"visuals of the tool {tool.name!r}")(arm, tool)
 
 
 def _draw_plainly(arm: Any, tool: Tool) -> None:

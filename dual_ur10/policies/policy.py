@@ -7,6 +7,9 @@ import inspect
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol, cast, runtime_checkable
 
+import numpy as np
+from gymnasium.vector.utils import iterate
+
 from dual_ur10.errors import PolicyError
 from dual_ur10.types import Array, Mask, Rows
 
@@ -27,7 +30,7 @@ class Policy(Protocol):
 
 
 class FunctionPolicy:
-    """A plain function from observations to actions as a policy. It has no state, so that nothing needs a reset.
+    """A plain function from an observation to an action as a policy. It has no state: nothing needs a reset.
 
     Args:
         function: As `Policy.__call__`.
@@ -47,6 +50,16 @@ class FunctionPolicy:
         """Return the function's action."""
         return self._function(observation)
 
+    def of_rows(self, space: Any) -> FunctionPolicy:
+        """Return the policy that calls the function with each row of a batch of observations.
+
+        Args:
+            space: Space of the batch.
+        """
+        rows = FunctionPolicy(lambda batch: np.stack([self(row) for row in iterate(space, batch)]))
+        rows.__name__ = self.__name__
+        return rows
+
 
 def as_policy(policy: object) -> Policy:
     """Return a policy unchanged, and a plain function as a `FunctionPolicy`.
@@ -56,6 +69,8 @@ def as_policy(policy: object) -> Policy:
     """
     if inspect.isroutine(policy) or isinstance(policy, functools.partial):
         return FunctionPolicy(policy)
+    if hasattr(policy, "unwrapped"):
+        raise PolicyError(f"the policy is an environment, {type(policy).__name__}: are two arguments exchanged?")
     lacking = [each for each in ("reset", "__call__") if not callable(getattr(policy, each, None))]
     if lacking or isinstance(policy, type):
         what = "a class, not an object of it" if isinstance(policy, type) else f"no {' and no '.join(lacking)}"

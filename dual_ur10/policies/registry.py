@@ -87,13 +87,51 @@ def shipped_names(env_id: str) -> list[str]:
     return [name for name in LEARNED_NAMES if name in TASKS[env_id_of(env_id)].learned]
 
 
+def scripts_of(env_id: str) -> Mapping[str, str]:
+    """Return the scripted policies of an environment, by action mode, or those of the task that it derives from."""
+    from dual_ur10.envs.core.setup import load_task
+
+    env_id = env_id_of(env_id)
+    if TASKS[env_id].scripted:
+        return TASKS[env_id].scripted
+    known = {entry.task: entry.scripted for entry in TASKS.values() if entry.scripted}
+    paths = [f"{each.__module__}:{each.__qualname__}" for each in load_task(env_id).__mro__[1:]]
+    return next((known[path] for path in paths if path in known), {})
+
+
 def names_for(env_id: str) -> list[str]:
     """Return those of `NAMES` that `load` accepts for an environment."""
-    return [*(["scripted"] if TASKS[env_id_of(env_id)].scripted else []), *shipped_names(env_id)]
+    return [*(["scripted"] if scripts_of(env_id) else []), *shipped_names(env_id)]
 
 
 def _missing(name: str, env_id: str) -> UnknownNameError:
-    return UnknownNameError(f"policy of {env_id}", name, names_for(env_id), OTHERS)
+    other = f"{' or '.join(BASELINES)} in commands, `make` and `evaluate`, or {OTHERS}"
+    return UnknownNameError(f"policy of {env_id}", name, names_for(env_id), other)
+
+
+def env_id_beside(policy: object, env_id: str) -> str:
+    """Return the full id of an environment that stands beside a policy among the arguments of a function.
+
+    Raises:
+        UnknownNameError: There is no such environment.
+        SettingsError: As for `env_id_of`; or the policy is an environment: the two are exchanged.
+    """
+    try:
+        return env_id_of(env_id)
+    except (SettingsError, UnknownNameError) as error:
+        if isinstance(policy, str) and _is_environment(policy):
+            raise SettingsError(
+                f"{env_id!r:.80} is no environment, and the policy {policy!r} is one: exchange the two arguments"
+            ) from error
+        raise
+
+
+def _is_environment(name: str) -> bool:
+    try:
+        env_id_of(name)
+    except (SettingsError, UnknownNameError):
+        return False
+    return True
 
 
 def load(name: str | os.PathLike[str], env_id: str | None = None, **keywords: Any) -> Policy:
@@ -107,17 +145,19 @@ def load(name: str | os.PathLike[str], env_id: str | None = None, **keywords: An
             made with those of the arguments `timing`, `action_mode`, `action_scale`, `mounts`, `limits`, `settings`,
             `tools` and `grippers` that it takes; without an environment, with none. Text that contains a "/" or names
             an existing file is a path.
-        env_id: Id of the environment. None: that of the checkpoint; a name requires an id.
+        env_id: Id of the environment, or its short form. None: that of the checkpoint; a name requires an id.
         **keywords: As for `gym.make`. A policy ignores those that concern neither task nor cell. Without `env_id` and
             keywords, the checkpoint's own keywords apply.
 
     Raises:
         UnknownNameError: The policy or the environment does not exist.
-        SettingsError: A name was given without an environment, or a class cannot be imported or made.
+        SettingsError: A name was given without an environment, the two are exchanged, or a class cannot be imported or
+            made.
         PolicyError: An object of the class is no policy.
         CheckpointError: The checkpoint cannot be read, or was made for another environment.
     """
     keywords = {key: value for key, value in keywords.items() if key not in _OF_INTERFACES}
+    env_id = None if env_id is None else env_id_beside(name, env_id)
     if is_class(name):
         return _made(str(name), env_id, keywords)
     if name in LEARNED_NAMES and env_id is not None:
@@ -172,20 +212,21 @@ def load_named(policy: Policy | str | os.PathLike[str], env_id: str, keywords: M
         return load(policy, env_id, **keywords)
 
 
-def _made(path: str, env_id: str | None, keywords: Mapping[str, Any]) -> Policy:
+def _made(path: str, env_id: str | None, keywords: Mapping[str, Any], *, registered: bool = False) -> Policy:
     """Return a policy of the class "module:Class", made with those arguments of `_ARGUMENTS` that it takes.
 
     Args:
         path: Module and name of the class.
         env_id: Id of the environment that the arguments are of; None: there are none.
         keywords: Keywords of the environment.
+        registered: As for `load_object`.
 
     Raises:
         SettingsError: The class cannot be imported or made.
         PolicyError: It makes no policy.
         DualUR10Error: A keyword is not legal.
     """
-    factory = load_object(path, "the policy")
+    factory = load_object(path, "the policy", registered=registered)
     try:
         taken = [name for name in inspect.signature(factory).parameters if name in _ARGUMENTS]
         policy = factory(**(_arguments(env_id, keywords, taken) if taken and env_id is not None else {}))
@@ -225,8 +266,7 @@ def arguments_of(setup: EnvSetup, names: Collection[str]) -> dict[str, Any]:
 def _scripted(env_id: str, keywords: Mapping[str, Any]) -> Policy:
     from dual_ur10.envs.core.options import EnvOptions
 
-    env_id = env_id_of(env_id)
-    classes = TASKS[env_id].scripted
+    classes = scripts_of(env_id)
     if keywords.get("observation") == "goals":
         raise SettingsError(
             "observation is 'goals', and scripted policies read all fields of the task: use observation='state'"
@@ -237,7 +277,7 @@ def _scripted(env_id: str, keywords: Mapping[str, Any]) -> Policy:
         raise SettingsError(f"the scripted policy of {env_id} is for {' and '.join(classes)}, not for {mode!r:.40}")
     if path is None:
         raise _missing("scripted", env_id)
-    return _made(path, env_id, keywords)
+    return _made(path, env_id, keywords, registered=True)
 
 
 _INTERFACE: Final = (
@@ -306,11 +346,12 @@ def make(
 
     Raises:
         UnknownNameError: The policy, the environment or a keyword does not exist.
-        SettingsError: A value is not legal, or a class cannot be imported or made.
+        SettingsError: A value is not legal, policy and environment are exchanged, or a class cannot be imported or
+            made.
         PolicyError: The policy is none.
         CheckpointError: The checkpoint cannot be read, or does not fit the keywords.
     """
-    env_id = env_id_of(env_id)
+    env_id = env_id_beside(policy, env_id)
     if isinstance(policy, str):
         check_name(policy)
     given = policy if isinstance(policy, str | os.PathLike) else as_policy(policy)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 
@@ -10,22 +11,30 @@ import pytest
 
 from tests.cli.command import run
 
+PRINTED = ("pip install -e {}", "python -m dual_ur10 evaluate Lab/ReachBoth-v0", "pytest {}")
+INSTALL = ("--quiet", "--no-deps", "--no-index", "--no-build-isolation", "--no-compile")
+RUN = "import runpy, site, sys; site.addsitedir(sys.argv.pop(1)); runpy.run_module(sys.argv.pop(1), None, '__main__')"
+
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory):
     folder = tmp_path_factory.mktemp("new") / "reach_both"
     code, text = run("new-task", "ReachBoth", "--out", str(folder), "--namespace", "Lab")
     assert code == 0
-    assert "python -m dual_ur10 evaluate Lab/ReachBoth-v0" in " ".join(text.split())
+    assert " ".join(text.split()).endswith("; ".join(PRINTED).format(folder, folder))
     return folder
 
 
-def test_it_installs_and_is_found_by_name(project, tmp_path):
-    install = [*(sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--no-build-isolation")]
-    subprocess.run([*install, "--target", str(tmp_path), str(project)], check=True, timeout=120, capture_output=True)
-    path = os.pathsep.join([str(tmp_path), *sys.path])
-    command = [sys.executable, "-m", "dual_ur10", "evaluate", "ReachBoth", "--episodes", "2"]
-    done = subprocess.run(command, env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True, timeout=120)
+@pytest.mark.parametrize("editable", [False, True], ids=["installed", "editable"])
+def test_the_printed_commands_work_in_a_process_that_has_not_imported_it(project, tmp_path, editable):
+    install = [sys.executable, "-m", "pip", "install", *INSTALL, "--target", str(tmp_path)]
+    subprocess.run([*install, str(project)], check=True, timeout=120, capture_output=True)
+    if editable:  # as pip leaves it, whose --editable needs a package from the network
+        shutil.rmtree(tmp_path / "reach_both")
+        (tmp_path / "reach_both.pth").write_text(f"{project}\n")
+    command = [sys.executable, "-c", RUN, str(tmp_path), *PRINTED[1].split()[2:], "--episodes", "2"]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
     assert "2 of 2" in done.stdout
 

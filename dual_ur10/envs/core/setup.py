@@ -39,7 +39,7 @@ def load_task(name: str) -> type[Task[Any, Any]]:
         SettingsError: Its class cannot be imported, or is no task.
     """
     env_id = env_id_of(name)
-    task: type[Task[Any, Any]] = load_object(TASKS[env_id].task, f"the task of {env_id}")
+    task: type[Task[Any, Any]] = load_object(TASKS[env_id].task, f"the task of {env_id}", registered=True)
     if not isinstance(task, type) or not issubclass(task, Task):
         raise SettingsError(f"{TASKS[env_id].task!r}, registered as {env_id}, is no subclass of {Task.__module__}.Task")
     return task

@@ -17,9 +17,9 @@ import numpy as np
 
 from dual_ur10.envs.core.options import AS_ON_CONTROLLERS
 from dual_ur10.errors import PolicyError, SettingsError
-from dual_ur10.ids import env_id_of
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies.policy import Policy, as_policy
+from dual_ur10.policies.registry import env_id_beside
 from dual_ur10.sim2real.config.cell import LATENCY_S, HostedCell
 from dual_ur10.types import Array
 
@@ -111,7 +111,7 @@ def check_policy(
         SettingsError: `steps` is not a positive number, or `cell` is no path.
         DualUR10Error: The environment failed.
     """
-    name = env_id_of(env_id)
+    name = env_id_beside(policy, env_id)
     most = _most_steps(steps)
     if cell is not None and not isinstance(cell, str | os.PathLike | HostedCell):
         raise SettingsError(

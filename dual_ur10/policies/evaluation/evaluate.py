@@ -16,16 +16,23 @@ import numpy as np
 
 from dual_ur10.envs.core.ends import details_of, early_end
 from dual_ur10.envs.core.options import AS_ON_CONTROLLERS, MOVE_TO_START
-from dual_ur10.errors import DualUR10Error, ResetRefusedError, SettingsError, UnknownNameError
-from dual_ur10.ids import TASKS, __version__, is_registered
+from dual_ur10.errors import DualUR10Error, ResetRefusedError, SettingsError
+from dual_ur10.ids import __version__
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies.baselines import RandomPolicy, ZeroPolicy
 from dual_ur10.policies.evaluation.results import Episode, Evaluation
 from dual_ur10.policies.evaluation.rollout import act
 from dual_ur10.policies.learned.checkpoint import warn_outside
 from dual_ur10.policies.learned.learned_policy import LearnedPolicy
-from dual_ur10.policies.policy import EpisodeAware, Policy, as_policy, policy_name
-from dual_ur10.policies.registry import check_name, keywords_for, load_named, provenance, wrong_types_named
+from dual_ur10.policies.policy import EpisodeAware, FunctionPolicy, Policy, as_policy, policy_name
+from dual_ur10.policies.registry import (
+    check_name,
+    env_id_beside,
+    keywords_for,
+    load_named,
+    provenance,
+    wrong_types_named,
+)
 from dual_ur10.types import Array, Mask
 
 UNITS = ("_m", "_rad", "_n", "_s")
@@ -58,10 +65,10 @@ def evaluate(
     the observations of all rows; an idle row repeats its last episode without any effect on the results.
 
     Args:
-        env_id: Id of the environment.
-        policy: A policy that takes batches, or a plain function that does; or a name, one of
-            `dual_ur10.policies.NAMES`, "random" or "zero"; or the folder of a checkpoint, made for this environment; or
-            "module:Class", as for `load`.
+        env_id: Id of the environment, or its short form.
+        policy: A policy that takes batches; or a plain function from an observation to an action, which is called with
+            each row; or a name, one of `dual_ur10.policies.NAMES`, "random" or "zero"; or the folder of a checkpoint,
+            made for this environment; or "module:Class", as for `load`.
         episodes: Number of episodes, 1 or more.
         seed: Seed of the first episode, 0 or more.
         num_envs: Number of parallel episodes.
@@ -78,7 +85,8 @@ def evaluate(
             as the elapsed ratio of its longest time.
 
     Raises:
-        SettingsError: A number is out of its range, or the evaluation itself sets a keyword.
+        SettingsError: A number is out of its range, the evaluation itself sets a keyword, or environment and policy are
+            exchanged.
         UnknownNameError: No such environment, policy or keyword.
         PolicyError: The policy is none.
         ResetRefusedError: Several episodes on a cell of two controllers lack consent. Nothing has moved.
@@ -88,15 +96,15 @@ def evaluate(
         _check_whole(name, value, least)
     if max_steps is not None:
         _check_whole("max_steps", max_steps, 1)
-    keywords = dict(env_kwargs or {})
+    env_id = env_id_beside(policy, env_id)
     if isinstance(policy, str):
         check_name(policy)
     else:
         policy = as_policy(policy)
-    given = keywords
-    if keywords.get("record") is not None and env_id in gym.registry:
-        given = {"record_about": provenance(policy, env_id), **keywords}
-    given = keywords_for(policy, env_id, given) if env_id in gym.registry else given
+    given = dict(env_kwargs or {})
+    if given.get("record") is not None:
+        given = {"record_about": provenance(policy, env_id), **given}
+    given = keywords_for(policy, env_id, given)
     keywords = {name: value for name, value in given.items() if name not in _RECORD}
     actor = load_named(policy, env_id, keywords)  # before anything is connected or a folder of the run is made
     env = _make(env_id, min(num_envs, episodes), given)
@@ -280,8 +288,6 @@ def _bound(core: Any, max_steps: int | None) -> int:
 
 def _make(env_id: str, num_envs: int, keywords: Mapping[str, Any]) -> Any:
     """Make the vector environment, without automatic resets."""
-    if env_id not in gym.registry and not is_registered(env_id):
-        raise UnknownNameError("environment", str(env_id), list(TASKS))
     for name in _OWN:
         if name in keywords:
             raise SettingsError(f"the keyword {name} is set by the evaluation: leave it out")
@@ -291,12 +297,12 @@ def _make(env_id: str, num_envs: int, keywords: Mapping[str, Any]) -> Any:
             num_envs=num_envs,
             vectorization_mode="vector_entry_point",
             autoreset_mode="Disabled",
-            **({**AS_ON_CONTROLLERS, **keywords} if env_id in TASKS else keywords),
+            **{**AS_ON_CONTROLLERS, **keywords},
         )
 
 
 def actor_of(policy: Policy | str, env: Any) -> Policy:
-    """Return the policy that acts in a vector environment: a baseline by its name, or the policy itself.
+    """Return the policy that acts in a vector environment: a baseline by its name, the policy, or a function's rows.
 
     Args:
         policy: A policy, or the name of a baseline.
@@ -309,4 +315,6 @@ def actor_of(policy: Policy | str, env: Any) -> Policy:
         warn_outside(policy, env)
     if policy == "random":
         return RandomPolicy(env.single_action_space, env.num_envs)
+    if isinstance(policy, FunctionPolicy):
+        return policy.of_rows(env.observation_space)
     return ZeroPolicy(env.action_space) if policy == "zero" else as_policy(policy)

@@ -125,13 +125,14 @@ def _whole_or_none(minari: Any, dataset_id: str) -> Iterator[None]:
 def _core(header: Header) -> Core:
     """Make a simulation of the same task, for its spaces and observations of each agent."""
     from dual_ur10.envs.core.core import Core
-    from dual_ur10.ids import TASKS, is_registered
+    from dual_ur10.ids import TASKS, is_registered, received
 
     if not is_registered(header.env_id):
         raise RecordingError(f"it was recorded in {header.env_id!r:.80}: allowed are {', '.join(TASKS)}")
     left, right = mounts_of(header)
     profile = ServojProfile(family=header.family, **header.servoj[0])
-    return Core(header.env_id, _of_task(header) | {"cell": CellConfig(left=left, right=right, servoj=profile)})
+    with received("the recording"):
+        return Core(header.env_id, _of_task(header) | {"cell": CellConfig(left=left, right=right, servoj=profile)})
 
 
 def _of_task(header: Header) -> dict[str, Any]:

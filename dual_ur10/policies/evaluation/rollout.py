@@ -10,6 +10,7 @@ import numpy as np
 
 from dual_ur10.envs.core.ends import early_end
 from dual_ur10.envs.core.options import MOVE_TO_START
+from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.policies.policy import Commanded, Policy, as_policy
 from dual_ur10.types import Array
@@ -123,10 +124,15 @@ def rollout(
 
     Raises:
         PolicyError: The policy is neither.
+        SettingsError: The environment is none.
         DualUR10Error: The environment failed.
         Exception: As raised by the policy, see `act`.
     """
     policy = as_policy(policy)
+    if not hasattr(env, "unwrapped"):
+        raise SettingsError(
+            f"the environment is {env!r:.80}: pass one that gym.make has made, or both results of make(policy, id)"
+        )
     observation, _ = env.reset(seed=seed, options={MOVE_TO_START: True})
     policy.reset()
     kind = env.action_space.dtype

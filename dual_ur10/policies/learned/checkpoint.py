@@ -35,7 +35,7 @@ from dual_ur10.envs.core.options import EnvOptions
 from dual_ur10.envs.core.randomization import PRESETS, Randomization, resolve_randomization
 from dual_ur10.errors import CheckpointError
 from dual_ur10.files import sync_folder
-from dual_ur10.ids import __version__, env_id_of
+from dual_ur10.ids import __version__, env_id_of, received
 from dual_ur10.policies.learned import schema
 from dual_ur10.policies.learned.learned_policy import LearnedPolicy
 from dual_ur10.policies.learned.manifest import Manifest, parse
@@ -414,7 +414,8 @@ def _other_keywords(made: EnvironmentSignature, here: EnvironmentSignature, view
     settings = view.setup.settings
     defaults = dataclasses.asdict(type(settings)())
     try:
-        trained = type(settings)(**{name: value for name, value in made.kwargs.items() if name in defaults})
+        with received("the checkpoint"):
+            trained = type(settings)(**{name: value for name, value in made.kwargs.items() if name in defaults})
     except (ValueError, TypeError) as error:
         raise CheckpointError(f"its kwargs make no environment: {error!s:.300}") from error
     covered = view.setup.task_type.covered(trained, settings)

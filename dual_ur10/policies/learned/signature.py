@@ -18,7 +18,7 @@ from dual_ur10.envs.core.randomization import Randomization, resolve_randomizati
 from dual_ur10.envs.core.setup import EnvSetup, load_task
 from dual_ur10.envs.tasks.task import Task
 from dual_ur10.errors import CheckpointError
-from dual_ur10.ids import TASKS, is_registered
+from dual_ur10.ids import TASKS, is_registered, received
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.robots import ROBOTS
 from dual_ur10.kinematics.ur10 import ARMS, Family
@@ -289,18 +289,20 @@ def view_of_signature(signature: EnvironmentSignature) -> EnvironmentView:
             raise CheckpointError(f"kwargs has an unknown {name!r:.80}: allowed are {', '.join(known)}")
     robot = signature.robot
     try:
-        left, right = (
-            ArmMount((x, y, z), yaw, robot=name, tilt_rad=(tilt_x, tilt_y))
-            for name, (x, y, z, yaw, tilt_x, tilt_y) in zip(
-                robot.names, np.reshape(robot.bases, (len(ARMS), _BASE)).tolist(), strict=True
+        with received("the checkpoint"):
+            left, right = (
+                ArmMount((x, y, z), yaw, robot=name, tilt_rad=(tilt_x, tilt_y))
+                for name, (x, y, z, yaw, tilt_x, tilt_y) in zip(
+                    robot.names, np.reshape(robot.bases, (len(ARMS), _BASE)).tolist(), strict=True
+                )
             )
-        )
-        servoj = ServojProfile(robot.family, robot.lookahead_s, robot.gain)
-        cell = CellConfig(left=left, right=right, servoj=servoj, tools=tools_of(robot.tools) if robot.tools else None)
-        types = field_types(kind)
-        keywords = dict(signature.kwargs)
-        keywords |= {name: built(types[name], keywords[name]) for name in types.keys() & keywords.keys()}
-        return view_of(signature.env_id, {**keywords, "cell": cell})
+            servoj = ServojProfile(robot.family, robot.lookahead_s, robot.gain)
+            tools = tools_of(robot.tools) if robot.tools else None
+            cell = CellConfig(left=left, right=right, servoj=servoj, tools=tools)
+            types = field_types(kind)
+            keywords = dict(signature.kwargs)
+            keywords |= {name: built(types[name], keywords[name]) for name in types.keys() & keywords.keys()}
+            return view_of(signature.env_id, {**keywords, "cell": cell})
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
         raise CheckpointError(f"its kwargs make no environment: {error!s:.300}") from error
 

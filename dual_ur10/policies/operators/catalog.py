@@ -127,7 +127,7 @@ def make_device(text: str, setup: EnvSetup | None = None, buttons: Sequence[str]
         MissingExtraError: It needs a package that is not installed.
     """
     path, rest = device_class(text)
-    factory = load_object(path, "the operator's device")
+    factory = load_object(path, "the operator's device", registered=path in DEVICES.values())
     given = arguments_in(rest)
     mapping = Mapping(**{name: given.pop(name) for name in _OF_MAPPING if name in given})
     try:

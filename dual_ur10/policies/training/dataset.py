@@ -11,7 +11,7 @@ from dual_ur10.envs.api.vector_env import DualArmVectorEnv
 from dual_ur10.envs.core.ends import details_of, early_end
 from dual_ur10.envs.core.options import AS_ON_CONTROLLERS
 from dual_ur10.errors import DatasetError, DualUR10Error, MissingExtraError
-from dual_ur10.ids import env_id_of
+from dual_ur10.ids import env_id_of, received
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies.evaluation.evaluate import actor_of
 from dual_ur10.policies.evaluation.minari_export import to_minari
@@ -252,7 +252,8 @@ def _check(dataset_id: str, spec: Any, view: EnvironmentView) -> None:
     try:
         found = gym.envs.registration.EnvSpec.from_json(spec)
         keywords = {name: value for name, value in found.kwargs.items() if name != "task"}  # the id names it
-        signature = view_of(str(found.id), keywords).signature
+        with received(f"the dataset {dataset_id}"):
+            signature = view_of(str(found.id), keywords).signature
     except Exception as error:  # a malformed spec raises many kinds
         raise DatasetError(f"{dataset_id} does not specify its environment: {error!s:.200}") from error
     for name in _SAME:

@@ -335,7 +335,7 @@ def task_settings(env_id: str) -> TaskSettings:
     """
     found = TASKS[env_id].training
     if isinstance(found, str):
-        found = load_object(found, f"the settings of trainings of {env_id}")
+        found = load_object(found, f"the settings of trainings of {env_id}", registered=True)
     if found is None:
         return TaskSettings()
     if not isinstance(found, TaskSettings):

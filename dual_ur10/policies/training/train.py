@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dual_ur10.errors import DualUR10Error, TrainingError
+from dual_ur10.ids import received
 from dual_ur10.policies.learned.signature import view_of
 from dual_ur10.policies.training.dataset import read_dataset
 from dual_ur10.policies.training.folder import Saved, TrainingFolder, initial_policy, network_shape
@@ -92,10 +93,11 @@ def resume(
     Raises:
         TrainingError: There is no such training, or its files cannot be read.
     """
-    folder, state = TrainingFolder.resume(out, steps)
-    _check_installed(folder.training)
-    with _met(folder.training, meet) as person:
-        return _run(folder, state, on_progress, threads, person)
+    with received(f"the training {os.fspath(out)}"):
+        folder, state = TrainingFolder.resume(out, steps)
+        _check_installed(folder.training)
+        with _met(folder.training, meet) as person:
+            return _run(folder, state, on_progress, threads, person)
 
 
 def _check_installed(training: Training) -> None:

@@ -14,6 +14,7 @@ from tomlkit.items import InlineTable
 
 from dual_ur10.errors import CalibrationError, CellFileError, DualUR10Error, RecordingError
 from dual_ur10.files import check_target, write_text
+from dual_ur10.ids import received
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.ur10 import ARMS, DHParameters
 from dual_ur10.sim2real.analysis.fit import ArmFit
@@ -267,7 +268,8 @@ def _check_same_cell(cell: CellFile, header: Header) -> None:
             )
     if header.cell_file is None:
         return
-    recorded, _ = examine_text(header.cell_file, "the recording's cell file")
+    with received("the recording's cell file"):
+        recorded, _ = examine_text(header.cell_file)
     if recorded is None:
         raise RecordingError("the recording's cell file is not legal: the recording is damaged. Record another run")
     for arm, entry, before in zip(ARMS, cell.arms, recorded.arms, strict=True):

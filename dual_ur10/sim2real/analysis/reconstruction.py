@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from dual_ur10.envs.core.setup import load_task
 from dual_ur10.errors import CellFileError, DualUR10Error, RecordingError, SettingsError, UnknownNameError
-from dual_ur10.ids import TASKS, is_registered
+from dual_ur10.ids import TASKS, is_registered, received
 from dual_ur10.kinematics.rotations import quat_conjugate, quat_multiply, quat_to_rotvec
 from dual_ur10.kinematics.ur10 import ARMS, TICK_S
 from dual_ur10.sim2real.config.cell import CellConfig
@@ -58,6 +58,12 @@ def keywords_of(header: Header, cell: str | Path | CellConfig | None = None) -> 
     Raises:
         RecordingError: The recording lacks an entry, or holds an illegal one.
     """
+    needed = 0 if cell is None else resolve_cell(cell).latency_ticks
+    with received("the recording"):
+        return _keywords_of(header, cell, needed)
+
+
+def _keywords_of(header: Header, cell: str | Path | CellConfig | None, needed: int) -> dict[str, Any]:
     if not is_registered(header.env_id):
         raise RecordingError(
             f"the recording is of {header.env_id!r}: this version has {', '.join(TASKS)}. Use the version that "
@@ -67,7 +73,6 @@ def keywords_of(header: Header, cell: str | Path | CellConfig | None = None) -> 
     keywords = _typed({name: each for name, each in header.kwargs.items() if name not in (*left_out, "task")}, header)
     keywords[_LATENCY] = header.latency_ticks
     if cell is not None:
-        needed = resolve_cell(cell).latency_ticks
         return {**keywords, "cell": cell, _LATENCY: max(header.latency_ticks, needed)}
     try:
         if header.cell_file is None and isinstance(keywords.get("cell"), Mapping):
@@ -78,20 +83,30 @@ def keywords_of(header: Header, cell: str | Path | CellConfig | None = None) -> 
             # A path would name real arms, which nobody asked to move.
             raise SettingsError(f"it is {keywords['cell']!r:.80}, and a simulated run's is not a file")
     except (SettingsError, UnknownNameError, LookupError, TypeError, ValueError) as error:
-        raise RecordingError(f"the cell of the recording is not legal: {error}. It is damaged") from error
+        raise RecordingError(
+            f"the cell of the recording is not legal: {error}. It is damaged, or of another version"
+        ) from error
     return keywords
 
 
 def _typed(keywords: dict[str, Any], header: Header) -> dict[str, Any]:
     """Return keywords, with those of the task as values of the types that its settings state."""
-    types = field_types(load_task(header.env_id).settings_type)
-    for name in types.keys() & keywords.keys():
+    settings_type = load_task(header.env_id).settings_type
+    types = field_types(settings_type)
+    own = keywords.keys() & types.keys()
+    for name in own:
         try:
             keywords[name] = built(types[name], keywords[name])
         except (DualUR10Error, LookupError, TypeError, ValueError) as error:
             raise RecordingError(
                 f"the keyword {name} of the recording is not legal: {error}. It is damaged, or of another version"
             ) from error
+    try:
+        settings_type(**{name: keywords[name] for name in own})  # names are resolved here, where nothing is imported
+    except (DualUR10Error, LookupError, TypeError, ValueError) as error:
+        raise RecordingError(
+            f"the keywords of the recording are not legal: {error}. It is damaged, or of another version"
+        ) from error
     return keywords
 
 

@@ -92,5 +92,6 @@ def make_cell(request: CellRequest) -> Cell:
         DualUR10Error: It cannot be made; see its class.
     """
     name = request.config.kind
-    cell: Cell = load_object(cell_kind(name).factory, f"the factory of the cell {name!r}")(request)
+    factory = load_object(cell_kind(name).factory, f"the factory of the cell {name!r}", registered=True)
+    cell: Cell = factory(request)
     return cell

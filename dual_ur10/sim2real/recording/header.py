@@ -172,7 +172,8 @@ def built(kind: Any, value: Any) -> Any:
     unknown = next((name for name in value if name not in known), None)
     if unknown is not None:
         raise UnknownNameError(kind.__name__, str(unknown), known)
-    return kind(**{name: built(types.get(name), each) for name, each in value.items()})
+    make = getattr(kind, "received", kind)  # of what a record may not state
+    return make(**{name: built(types.get(name), each) for name, each in value.items()})
 
 
 def field_types(kind: type[Any]) -> dict[str, Any]:

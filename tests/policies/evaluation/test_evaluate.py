@@ -24,6 +24,7 @@ from rich.console import Console
 
 import dual_ur10
 from dual_ur10 import CellConfig, Perturbation, errors, files, policies
+from dual_ur10.ids import TASKS, TaskEntry
 from dual_ur10.policies.evaluation.evaluate import evaluate
 from dual_ur10.policies.evaluation.results import Episode, Evaluation, wilson_interval
 from dual_ur10.policies.evaluation.rollout import rollout
@@ -248,7 +249,9 @@ class Stub(VectorEnv[Any, Any, Any]):
     made: Stub
     metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.DISABLED}  # noqa: RUF012  # as Gymnasium declares it
 
-    def __init__(self, num_envs: int, autoreset_mode: str, endless: int = -1, duration_s: float = 1.0) -> None:
+    def __init__(
+        self, num_envs: int, autoreset_mode: str, endless: int = -1, duration_s: float = 1.0, **others: Any
+    ) -> None:
         assert autoreset_mode == "Disabled"
         type(self).made = self
         self.num_envs, self.endless = num_envs, endless
@@ -354,8 +357,9 @@ class Watching:
 @pytest.fixture(autouse=True)
 def stub() -> Iterator[None]:
     gym.register(STUB, entry_point=lambda: None, vector_entry_point=Stub)
+    TASKS[STUB] = TaskEntry(task="no:Task")
     yield
-    del gym.registry[STUB]
+    del gym.registry[STUB], TASKS[STUB]
 
 
 def stub_evaluation(**arguments: Any) -> Evaluation:
@@ -492,15 +496,16 @@ def test_the_environment_is_closed_when_the_policy_fails() -> None:
 
 
 def test_a_plain_function_is_a_policy() -> None:
-    def still(observation: Any) -> Any:
-        return np.zeros((len(observation), 12), dtype=np.float32)
+    def pushing(observation: Any) -> Any:
+        return 0.01 * np.tanh(observation[:12])
 
-    found = evaluate(SINE, still, episodes=2, env_kwargs={"duration_s": 0.4})
-    zero = evaluate(SINE, "zero", episodes=2, env_kwargs={"duration_s": 0.4})
-    assert (found.policy, found.episodes) == ("still", zero.episodes)
+    found = evaluate("SineTracking", pushing, episodes=3, num_envs=2, env_kwargs={"duration_s": 0.4})
+    assert (found.env_id, found.policy) == (SINE, "pushing")
     env = gym.make(SINE, duration_s=0.4)
-    assert rollout(env, lambda _: np.zeros(12), seed=0).reward.sum() == pytest.approx(zero.episodes[0].total_reward)
+    alone = [rollout(env, pushing, seed=seed).reward.sum() for seed in range(3)]
     env.close()
+    assert [each.total_reward for each in found.episodes] == pytest.approx(alone)
+    assert len({*alone}) == 3
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 """Batches of poses: composition, relative poses and angles.
 
-Every product is one small one per pose, so that the numbers of a row do not depend on the number of rows.
+A row's result does not depend on the other rows, in any bit.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 Every function takes arrays with any leading batch axes, which broadcast against each other, and returns float64.
 Products are bilinear in their factors, so each is one outer product and one multiplication with a constant table: few
-numpy calls, because at these sizes a call costs more than its arithmetic. Quaternions are taken to be of unit length
-and are not checked.
+numpy calls, because at these sizes a call costs more than its arithmetic. A row's result does not depend on the other
+rows, in any bit. Quaternions are taken to be of unit length and are not checked.
 """
 
 from __future__ import annotations
@@ -58,7 +58,15 @@ _OUTER_CONSTANT: Final = np.eye(4).reshape(16)
 
 
 def _float(values: ArrayLike) -> Array:
-    return np.asarray(values, dtype=np.float64)
+    # In C order, because the order of a sum's terms depends on that of the memory.
+    return np.asarray(values, dtype=np.float64, order="C")
+
+
+def _times(outer: Array, table: Array) -> Array:
+    """Multiply outer products, (..., i, j), as rows, (..., i * j), with a table, (i * j, k)."""
+    # One product per row: BLAS rounds the rows of one large product by their position in it.
+    product: Array = outer.reshape(*outer.shape[:-2], 1, -1) @ table
+    return product[..., 0, :]
 
 
 def quat_multiply(first: ArrayLike, second: ArrayLike) -> Array:
@@ -71,9 +79,7 @@ def quat_multiply(first: ArrayLike, second: ArrayLike) -> Array:
     Returns:
         (..., 4).
     """
-    outer = _float(first)[..., :, None] * _float(second)[..., None, :]
-    product: Array = outer.reshape(*outer.shape[:-2], 16) @ _PRODUCT
-    return product
+    return _times(_float(first)[..., :, None] * _float(second)[..., None, :], _PRODUCT)
 
 
 def quat_conjugate(quat: ArrayLike) -> Array:
@@ -84,18 +90,13 @@ def quat_conjugate(quat: ArrayLike) -> Array:
 
 def quat_between(first: Array, second: Array) -> Array:
     """Return the orientations (..., 4) of `second` in the frames of `first`: conjugate of first times second."""
-    outer = first[..., :, None] * second[..., None, :]
-    product: Array = outer.reshape(*outer.shape[:-2], 16) @ _BETWEEN
-    return product
+    return _times(first[..., :, None] * second[..., None, :], _BETWEEN)
 
 
 def quat_to_matrix(quat: ArrayLike) -> Array:
     """Return the rotation matrices (..., 3, 3) of quaternions (..., 4)."""
     q = _float(quat)
-    batch = q.shape[:-1]
-    outer = (q[..., :, None] * q[..., None, :]).reshape(*batch, 16)
-    matrix: Array = (outer @ _MATRIX).reshape(*batch, 3, 3)
-    return matrix
+    return _times(q[..., :, None] * q[..., None, :], _MATRIX).reshape(*q.shape[:-1], 3, 3)
 
 
 def quat_from_matrix(matrix: ArrayLike) -> Array:
@@ -105,7 +106,7 @@ def quat_from_matrix(matrix: ArrayLike) -> Array:
     """
     rotation = _float(matrix)
     batch = rotation.shape[:-2]
-    outer = (rotation.reshape(-1, 9) @ _OUTER_FLAT + _OUTER_CONSTANT).reshape(-1, 4, 4)
+    outer = (_times(rotation, _OUTER_FLAT) + _OUTER_CONSTANT).reshape(-1, 4, 4)
     largest = outer.reshape(-1, 16)[:, ::5].argmax(-1)
     quat: Array = outer[np.arange(len(outer)), largest]
     quat /= np.copysign(np.sqrt((quat * quat).sum(-1, keepdims=True)), quat[:, :1])

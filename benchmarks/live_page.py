@@ -104,7 +104,7 @@ def cpu_s(pid):
 def watched_by(setup, count):
     """Give a page with viewers in processes of their own."""
     context = multiprocessing.get_context("spawn")
-    page, over = open_page(setup, ("stop",), port=0, cameras="none"), context.Event()
+    page, over = open_page(setup, ("stop",), port=0, cameras="none", unattended=True), context.Event()
     clients = []
     try:
         url = page.wait_until_ready()

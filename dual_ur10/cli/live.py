@@ -30,6 +30,7 @@ from dual_ur10.cli.options import (
     power_on,
     randomize,
 )
+from dual_ur10.envs.rendering.live.attendance import UNATTENDED_S
 from dual_ur10.envs.rendering.live.guard import PORT
 from dual_ur10.errors import SettingsError
 from dual_ur10.ids import env_id_of
@@ -81,6 +82,10 @@ def live(
         bool,
         typer.Option("--command", help="With --cell: let the page command both arms. It only watches without."),
     ] = False,
+    unattended: Annotated[
+        bool,
+        typer.Option("--unattended", help="With a cell: let its arms move while no page is open, too."),
+    ] = False,
     arm: OneArm = None,
     power: PowerOn = False,
     port: Port = PORT,
@@ -104,6 +109,8 @@ def live(
     watches = cell is not None and str(cell) not in ("echo", VIRTUAL) and not command
     if watches and (policy is not None or power):
         raise SettingsError("--policy and --power-on command the arms of a cell: add --command, or leave them out")
+    if unattended and (watches or cell is None):
+        raise SettingsError("--unattended is for a page that commands a cell: add --command, or leave it out")
     check_extras(PAGE_EXTRA, cell=cell, devices=[operator], moves=not watches)
     keywords = keywords_of(settings, perturbed, on_virtual(cell, env_id_of(env)), arm)
     randomize(keywords, randomization)
@@ -111,14 +118,16 @@ def live(
     buttons = () if watches else buttons_of(setup, takes=policy is not None and operator != NOBODY)
     policies = () if policy is None or setup.config.controllers else policies_of(env, [policy])
     handles = operator == PAGE and not watches
-    page = open_page(setup, buttons, port=port, cameras=cameras, handles=handles, policies=policies)
+    page = open_page(
+        setup, buttons, port=port, cameras=cameras, handles=handles, policies=policies, unattended=unattended
+    )
     try:
         if watches:
             _watch(setup, page, seconds)
         else:
             if power:
                 power_on(cell)
-            lead(env, policies or (policy,), operator, keywords, page, seed, seconds)
+            lead(env, policies or (policy,), operator, keywords, page, seed, seconds, unattended=unattended)
     except KeyboardInterrupt:
         if cell is None or watches:
             console.print("closed")
@@ -165,6 +174,7 @@ def lead(
     seconds: float | None,
     *,
     browser: bool = False,
+    unattended: bool = False,
 ) -> None:
     """Step an environment and show it in a page, until the time is over, or Ctrl-C.
 
@@ -177,6 +187,7 @@ def lead(
         seed: Seed of the first episode.
         seconds: Time after which it ends; None: never.
         browser: Open the page in a browser, if there is one.
+        unattended: Arms of controllers do not wait until a page is open.
 
     Raises:
         DualUR10Error: A name or a value is not legal, or a device cannot be opened; see also `LiveSession.run`.
@@ -203,6 +214,11 @@ def lead(
         _tell(page)
         if browser:
             _open(page.url)
+        if setup.config.controllers and not unattended:
+            console.print(
+                f"Both arms wait until it is open, and stop {UNATTENDED_S:g} s after it is closed", style="dim"
+            )
+            page.wait_until_open()
         session.run(seconds)
     finally:
         close(session.shown if session else made, session.operator if session else person)

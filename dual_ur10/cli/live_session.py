@@ -8,7 +8,9 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from rich.markup import escape
 
+from dual_ur10.cli.options import errors
 from dual_ur10.envs.core.options import MOVE_TO_START
 from dual_ur10.envs.rendering.live.live_page import LivePage
 from dual_ur10.envs.rendering.live.memory import POLICIES, SPEEDS
@@ -99,7 +101,8 @@ class LiveSession:
             try:
                 moved = self.turn()
             except CellFaulted as error:
-                self._stopped, moved = f"LATCHED: {error}", False
+                self._latch(str(error))
+                moved = False
                 self._say()
             # Against the clock, not from step to step, so that delays do not add up.
             now_s = time.monotonic()
@@ -174,8 +177,17 @@ class LiveSession:
     def _stop(self) -> None:
         """Stop both arms: latched on controllers, until the next reset in simulation."""
         text = self._core.stop("the button to stop both arms was pressed in the live page")
-        self._stopped = f"LATCHED: {text}" if self._controllers else "STOPPED by the page: press Reset to go on"
+        if self._controllers:
+            self._latch(text)
+        else:
+            self._stopped = "STOPPED by the page: press Reset to go on"
         self._core.note("stop", "button of the live page")
+
+    def _latch(self, text: str) -> None:
+        """Show a latched stop, in the terminal too: perhaps no page is open."""
+        if not self._stopped:
+            errors.print(f"[bold red]error:[/] [red]{escape(text)}[/]", soft_wrap=True, highlight=False)
+        self._stopped = f"LATCHED: {text}"
 
     def _switch(self, name: str) -> None:
         """Let another policy act in an environment that fits it, from the beginning of the episode on.

@@ -169,6 +169,7 @@ def test_rollout_is_led_by_a_page_and_shown_in_it(monkeypatch, tmp_path):
     rows = pages[1].memory.rows()[0]
     assert {row.scalars["right_commander"] for row in rows} == {0}
     assert run("rollout", "SineTracking", *arguments, "page:port=70000")[0] == 2
+    assert run("rollout", "SineTracking", *arguments, "page:unattended=yes")[0] == 2
     code, text = run("evaluate", "SineTracking", "-n", "1", "--operator", "page")
     assert (code, "evaluate shows no page" in text) == (2, True)
     for page in pages:
@@ -398,7 +399,7 @@ def test_a_gripper_opens_and_closes_while_its_handle_is_held(drive):
     np.testing.assert_allclose(driver.core.pipeline.commanded_widths_m[0], [left, right], atol=1e-6)
 
 
-def test_a_button_latches_a_stop_of_a_virtual_cell(drive, monkeypatch):
+def test_a_button_latches_a_stop_of_a_virtual_cell(drive, monkeypatch, capsys):
     from dual_ur10.testing import VirtualCell
 
     with VirtualCell() as cell:
@@ -417,6 +418,7 @@ def test_a_button_latches_a_stop_of_a_virtual_cell(drive, monkeypatch):
         driver.turn(3)
         assert "live page" in driver.core.cell.runner.cell.fault
         assert driver.words["program"].startswith("LATCHED")
+        assert capsys.readouterr().err.count("both arms were stopped") == 1  # perhaps nobody sees the page
         driver.press("reset")
         driver.turn(3)
         assert driver.session.shown.episode == 1  # a person clears it, not the page
@@ -484,6 +486,8 @@ def test_a_watcher_shows_what_both_controllers_measure(drive):
         (["--command"], "name their cell file with --cell"),
         (["--cell", "CELL", "--policy", "scripted"], "add --command"),
         (["--cell", "CELL", "--power-on"], "add --command"),
+        (["--cell", "CELL", "--unattended"], "add --command"),
+        (["--unattended"], "add --command"),
         (["--cameras", "fornt"], "front"),
     ],
 )
@@ -557,7 +561,7 @@ def test_arms_do_not_move_to_the_start_without_the_yes_that_rollout_asks_for(dri
             drive(task="SineTracking", policy="scripted", cell=cell)
         with commanding(monkeypatch, cell) as (pages, turned):
             code, text = run(*COMMAND)
-        assert (code, "not confirmed" in text, turned) == (2, True, [])
+        assert (code, "not confirmed" in text, turned) == (2, True, ["waited"])
         assert not pages[0].memory.count  # nothing was shown, since nothing began
     assert len(asked) == 2
 
@@ -593,6 +597,7 @@ def commanding(monkeypatch, cell):
     with monkeypatch.context() as patch:
         patch.setattr(page_module, "open_page", open_page)
         patch.setattr(LivePage, "wait_until_ready", lambda self: "http://the.page/")
+        patch.setattr(LivePage, "wait_until_open", lambda self: turned.append("waited"))
         patch.setattr(LiveSession, "run", lead)
         patch.setattr("dual_ur10.cli.live.keywords_of", lambda *_: {"cell": cell})
         yield pages, turned
@@ -603,11 +608,11 @@ def test_live_commands_a_cell_of_controllers_for_one_operator_at_a_time(monkeypa
 
     with VirtualCell() as cell:
         with commanding(monkeypatch, cell) as (_, turned):
-            code, text = run(*COMMAND)
+            code, text = run(*COMMAND, "--unattended")
         fault = cell.fault
     assert (code, "the page is at http://the.page/" in text) == (0, True)
     np.testing.assert_allclose(turned[0], [0.02, 0.0], atol=2e-3)
     code, text = turned[1]
-    assert (code, len(turned)) == (2, 2)
+    assert (code, len(turned)) == (2, 2)  # it did not wait for a page
     assert "moved by this program already" in text
     assert not fault  # the refusal stops nobody

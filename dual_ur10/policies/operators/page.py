@@ -76,6 +76,7 @@ def open_page(
     cameras: str = CAMERAS,
     handles: bool = True,
     policies: Sequence[str] = (),
+    unattended: bool = False,
     system: System = LOCAL,
 ) -> LivePage:
     """Start the page of an environment. `LivePage.wait_until_ready` waits for it.
@@ -87,6 +88,7 @@ def open_page(
         cameras: Names of cameras of the scene whose images are shown, with "," or "/" between them; or "none".
         handles: Drag handles at both tools, and buttons for the grippers.
         policies: Names of the policies between which the page switches.
+        unattended: Arms of controllers go on while no page is open.
         system: Clock and processes.
 
     Raises:
@@ -108,12 +110,19 @@ def open_page(
         grippers=handles and equipment.grippers and not equipment.welded,
         cameras=names,
         policies=tuple(policies),
+        controllers=bool(setup.config.controllers),
+        unattended=unattended,
     )
     return LivePage(about, port=port, system=system)
 
 
 def page_device(
-    setup: EnvSetup, port: int = PORT, cameras: str = CAMERAS, *, acts_on: Sequence[str] = ()
+    setup: EnvSetup,
+    port: int = PORT,
+    cameras: str = CAMERAS,
+    unattended: bool = False,
+    *,
+    acts_on: Sequence[str] = (),
 ) -> PageDevice:
     """Start a page in a browser with a handle at each tool, for one hand or two, and wait until it serves.
 
@@ -123,6 +132,7 @@ def page_device(
         setup: The environment.
         port: As for `open_page`.
         cameras: As for `open_page`.
+        unattended: As for `open_page`.
         acts_on: Names of further buttons.
 
     Raises:
@@ -132,7 +142,9 @@ def page_device(
     """
     if isinstance(port, bool) or not isinstance(port, int) or not 0 <= port < 2**16:
         raise SettingsError(f"port is {port!r}: it must be a whole number from 0 to 65535")
+    if not isinstance(unattended, bool):
+        raise SettingsError(f"unattended is {unattended!r}: it must be true or false")
     shown = (*(("stop",) if setup.config.controllers else ()), *acts_on)
-    page = open_page(setup, shown, port=port, cameras=str(cameras))
+    page = open_page(setup, shown, port=port, cameras=str(cameras), unattended=unattended)
     page.wait_until_ready()
     return PageDevice(page)

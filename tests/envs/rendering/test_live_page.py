@@ -235,6 +235,17 @@ def test_every_page_may_stop(commander, memory):
     assert memory.pressed(0)[0] == ["stop"]
 
 
+@pytest.mark.parametrize("asks", [False, True])
+def test_a_page_that_opens_after_all_were_closed_takes_the_controls_of_controllers(memory, asks):
+    commander = Commander(memory, FakeClock(), asks=asks)
+    assert commander.enter(1)
+    commander.leave(1)
+    assert commander.enter(2) is not asks
+    assert commander.press(2, "reset") is not asks
+    assert commander.take(2)
+    assert commander.press(2, "reset")
+
+
 @pytest.mark.parametrize("end", ["leave", "give_up"])
 def test_a_page_that_leaves_releases_its_clutch(commander, memory, end):
     commander.enter(1)

@@ -20,6 +20,8 @@ class About:
         grippers: Buttons for both grippers.
         cameras: Cameras whose images are shown.
         policies: Names of the policies between which the page switches, at most as many as `POLICIES`.
+        controllers: The arms are those of two controllers, and not of a simulation.
+        unattended: These arms go on while no page is open.
     """
 
     title: str
@@ -30,6 +32,8 @@ class About:
     grippers: bool = False
     cameras: tuple[str, ...] = ()
     policies: tuple[str, ...] = ()
+    controllers: bool = False
+    unattended: bool = False
 
     @property
     def commands(self) -> bool:

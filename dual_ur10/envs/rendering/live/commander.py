@@ -21,16 +21,18 @@ class Commander:
     Args:
         memory: Memory that the commands are written to.
         clock: Clock of the program.
+        asks: A page that opens when none is open commands only once it has taken the controls, except for the first.
 
     Attributes:
         client: Number of the page that commands; None: no page does.
     """
 
-    def __init__(self, memory: LiveMemory, clock: Clock) -> None:
-        self._memory, self._clock = memory, clock
+    def __init__(self, memory: LiveMemory, clock: Clock, *, asks: bool = False) -> None:
+        self._memory, self._clock, self._asks = memory, clock, asks
         self._lock = threading.Lock()
         self.client: int | None = None
         self._pages: set[int] = set()
+        self._had_pages = False
         self._poses: Array = np.zeros((2, 7))
         self._clutch = np.zeros(2, dtype=bool)
         self._gripper: Array = np.full(2, np.nan)
@@ -40,12 +42,13 @@ class Commander:
     def enter(self, client: int) -> bool:
         """Let a page enter. Return True if it commands from now on, because no other page was open."""
         with self._lock:
-            alone = not self._pages
+            commands = not self._pages and not (self._asks and self._had_pages)
             self._pages.add(client)
+            self._had_pages = True
             self._memory.note_pages(len(self._pages))
-            if alone:
+            if commands:
                 self.client = client
-            return alone
+            return commands
 
     def leave(self, client: int) -> bool:
         """Let a page leave, and release the clutch if it commanded. Return True if it did."""

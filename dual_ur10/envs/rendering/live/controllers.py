@@ -16,6 +16,11 @@ class Controllers:
         self.arms = ArmMemory(names[0]), ArmMemory(names[1])
         self.sending = Sending(self.arms)
 
+    @property
+    def owe_motion(self) -> bool:
+        """True during an episode, and on the way to its start."""
+        return self.cell.live and not self.cell.ending
+
     def words(self, now_s: float) -> dict[str, str]:
         """Return the lines of the page."""
         cell = self.cell

@@ -11,6 +11,7 @@ from typing import Any, Final
 from dual_ur10.assets.scene import build_model
 from dual_ur10.assets.settings import home_q_rad
 from dual_ur10.envs.rendering.live.about import About
+from dual_ur10.envs.rendering.live.attendance import Attendance
 from dual_ur10.envs.rendering.live.commander import Commander
 from dual_ur10.envs.rendering.live.controllers import Controllers
 from dual_ur10.envs.rendering.live.drag_handles import DragHandles
@@ -52,7 +53,9 @@ class Page:
 
     def __init__(self, server: Any, memory: LiveMemory, about: About, system: System = LOCAL) -> None:
         self._server, self._memory, self._about, self._clock = server, memory, about, system.clock
-        self.commander = Commander(memory, system.clock)
+        self.commander = Commander(memory, system.clock, asks=about.controllers)
+        required = about.commands and about.controllers and not about.unattended
+        self._attendance = Attendance(memory, system.clock, required=required)
         model = build_model(about.scene)
         self._poser = Poser(model)
         self._poser.rest(home_q_rad(about.scene.mounts))
@@ -97,6 +100,7 @@ class Page:
         self._polls += 1
         if self._controllers is None and (names := memory.attached) is not None:
             self._controllers = Controllers(names)
+        self._attendance.poll(self._controllers)
         rows, self._seen = memory.rows(self._seen)
         late_ms, skew_ms = (math.nan, math.nan) if self._controllers is None else self._controllers.sending.read()
         self._plots.history.add(rows, late_ms, skew_ms)

@@ -16,6 +16,7 @@ from dual_ur10.envs.rendering.live.viewpoints import START, look_from
 from dual_ur10.kinematics.ur10 import ARMS
 
 _LONGEST: Final = 24  # text of a policy
+_OTHERS: Final = "Another page commands. When it is closed, or leaves the controls, press: Take the controls."
 
 
 @dataclasses.dataclass(frozen=True)
@@ -129,13 +130,23 @@ class Panel:
 
     def _press(self, event: Any, name: str) -> None:
         if not self._commander.press(event.client_id, name):
-            _refuse(event.client)
+            self._refuse(event.client)
+
+    def _refuse(self, client: Any) -> None:
+        """Say why a press does not count."""
+        free = self._commander.client is None
+        client.add_notification(
+            title="This page watches",
+            body="No page commands: press Take the controls." if free else _OTHERS,
+            auto_close_seconds=6.0,
+            color="orange",
+        )
 
     def _gripper_of(self, arm: int) -> Callable[[Any], Any]:
         async def grip(event: Any) -> None:
             opening = 1.0 if event.target.value == "open" else 0.0
             if not self._commander.grip(event.client_id, arm, opening, self._handles.tool(arm)):
-                _refuse(event.client)
+                self._refuse(event.client)
 
         return grip
 
@@ -143,7 +154,7 @@ class Panel:
         if self._commander.take(event.client_id):
             self._handles.add(event.client)
         else:
-            _refuse(event.client)
+            self._refuse(event.client)
 
     async def _give_up(self, event: Any) -> None:
         if self._commander.give_up(event.client_id):
@@ -160,15 +171,6 @@ def end_of(name: str, names: Collection[str]) -> str:
     """Return the end of a long name, or the whole where another one ends likewise."""
     end = name[-_LONGEST:]
     return name if end == name or any(each.endswith(end) for each in names if each != name) else f"…{end}"
-
-
-def _refuse(client: Any) -> None:
-    client.add_notification(
-        title="This page watches",
-        body="Another page commands. When it is closed, or leaves the controls, press: Take the controls.",
-        auto_close_seconds=6.0,
-        color="orange",
-    )
 
 
 def _table(words: Mapping[str, str]) -> str:

@@ -125,6 +125,40 @@ def stages(axis: Any, rows: Rows) -> None:
     axis.grid(alpha=0.3)
 
 
+LOOP = (
+    ("policy", ""),
+    ("adapter", "targets of\none period"),
+    ("leading", "along what\nis near"),
+    ("safety gate", "releases\nor refuses"),
+    ("cell", "waits for\nL ticks"),
+    ("arms", "simulated\nor real"),
+    ("CellState", "what a real cell\ncan measure"),
+    ("task", "observes,\nevaluates"),
+)
+"""Parts of a policy period in their order, with what each does."""
+
+
+def architecture(axis: Any) -> None:
+    """Draw the loop of a policy period: four parts from left to right, and four back below them."""
+    half = len(LOOP) // 2
+    places = [(place, 1.0) for place in range(half)] + [(half - 1 - place, 0.0) for place in range(half)]
+    for (name, what), (x, y), (to_x, to_y) in zip(LOOP, places, places[1:] + places[:1], strict=True):
+        box = {"boxstyle": "round,pad=0.02", "facecolor": "#e8eaf6", "edgecolor": OURS}
+        axis.add_patch(matplotlib.patches.FancyBboxPatch((x - 0.4, y - 0.26), 0.8, 0.52, **box))
+        axis.text(x, y + (0.13 if what else 0.0), name, ha="center", va="center", fontweight="bold", fontsize=9)
+        axis.text(x, y - 0.1, what, ha="center", va="center", fontsize=8.5)
+        begin, end = (
+            (x + 0.43 * (to_x - x), y + 0.29 * (to_y - y)),
+            (to_x - 0.43 * (to_x - x), to_y - 0.29 * (to_y - y)),
+        )
+        axis.annotate("", end, begin, arrowprops={"arrowstyle": "-|>", "color": OURS, "lw": 1.5})
+    for x, y, text, side in ((0.04, 0.5, "observation", "left"), (2.96, 0.5, "released targets", "right")):
+        axis.text(x, y, text, ha=side, va="center", fontsize=8.5, style="italic")
+    axis.set_xlim(-0.46, half - 0.54)
+    axis.set_ylim(-0.32, 1.32)
+    axis.set_axis_off()
+
+
 PLOTS: dict[str, tuple[str, Callable[[Any, Rows], None]]] = {
     "success": ("reference/benchmarks", success),
     "speed": ("reference/benchmarks", speed),
@@ -152,6 +186,9 @@ def main() -> None:
         about = {"Date": None, "Source": digest(plot)}
         figure.savefig(DOCS / "images" / f"figure_{name}.svg", metadata=about)
         plt.close(figure)
+    figure, axis = plt.subplots(figsize=(4.9, 2.3), layout="constrained")
+    architecture(axis)
+    figure.savefig(DOCS / "images" / "figure_architecture.svg", metadata={"Date": None})
 
 
 if __name__ == "__main__":

@@ -239,6 +239,13 @@ def decisions(folder: Path) -> str:
     return "# Decisions\n\nShort records of design choices: context, decision, evidence.\n\n" + "\n".join(rows) + "\n"
 
 
+def of_repository(path: Path) -> str:
+    """Return a page at the top of the repository with its links as they are on the site."""
+    text = re.sub(r"\]\(docs/decisions/\)", "](decisions/index.md)", path.read_text())
+    text = re.sub(r"\]\(docs/", "](", text)
+    return re.sub(r"\]\(([A-Z]+)\.md\)", lambda found: f"]({found[1].lower()}.md)", text)
+
+
 def pages(folder: Path) -> dict[str, Callable[[], str]]:
     """Return the functions that generate the pages of this folder, by page."""
     from dual_ur10.ids import TASKS
@@ -249,6 +256,8 @@ def pages(folder: Path) -> dict[str, Callable[[], str]]:
         "reference/cell-file.md": cell_file,
         "reference/errors.md": errors,
         "decisions/index.md": lambda: decisions(folder / "decisions"),
+        "changelog.md": lambda: of_repository(folder.parent / "CHANGELOG.md"),
+        "contributing.md": lambda: of_repository(folder.parent / "CONTRIBUTING.md"),
     }
 
 

@@ -37,7 +37,8 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
 TASK_PAGES = {f"tasks/{name}.md" for name in ("sine-tracking", "sync-carry", "handover", "free")}
-GENERATED = {"reference/cli.md", "reference/cell-file.md", "reference/errors.md", "decisions/index.md", *TASK_PAGES}
+GENERATED = {"reference/cli.md", "reference/cell-file.md", "reference/errors.md", "decisions/index.md", "changelog.md"}
+GENERATED |= {"contributing.md", *TASK_PAGES}
 FAULTS = 64
 
 

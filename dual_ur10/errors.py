@@ -129,7 +129,7 @@ class LostError(DualUR10Error, RuntimeError):
 
 
 class ClosedError(DualUR10Error, RuntimeError):
-    """Raised when an object is used after `close()`."""
+    """Raised when an object is used after `close()`, or in a forked process to which it does not belong."""
 
 
 class ResetNeededError(DualUR10Error, RuntimeError):

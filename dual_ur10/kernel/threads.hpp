@@ -1,7 +1,8 @@
 // Threads that share the rows of a call; see `dual_ur10.kernel.RowLoop`.
 //
 // They begin with the first call that needs them and wait for the next one: first awake, since the next call of a
-// control period comes soon, then asleep. A forked process begins its own. They end with the process.
+// control period comes soon, then asleep. A forked process begins its own, for what is
+// made in it: environments of the parent that have MuJoCo's threads are refused there. They end with the process.
 #pragma once
 
 #include <pthread.h>

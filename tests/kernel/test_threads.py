@@ -1,4 +1,4 @@
-"""Threads of the kernel: shared by callers, and begun anew in a forked process."""
+"""Threads of kernel and physics: shared by callers, and begun anew in a forked process."""
 
 from __future__ import annotations
 
@@ -13,15 +13,40 @@ from dual_ur10.kernel import RowLoop, Struct
 N, CALLS = 400, 300
 
 _FORKED = """
-import os, psutil
+import os, psutil, signal, sys
+import numpy as np
+from dual_ur10.envs.api.vector_env import DualArmVectorEnv
+from dual_ur10.errors import ClosedError
 from tests.kernel.test_threads import Distances
-before, after = Distances(3), Distances(3)
+
+def begun(threads):
+    env = DualArmVectorEnv(8, "Free", threads=threads)
+    env.reset(seed=0)
+    return env
+
+def moved(env):
+    return env.step(np.full(env.action_space.shape, 0.5, np.float32))[0]
+
+def refused(act):
+    try:
+        act()
+    except ClosedError as error:
+        return "3 threads in the process" in str(error)
+
+before, after, env, single = Distances(3), Distances(3), begun(3), begun(1)
 before()
+moved(env)
 child = os.fork()
-after()
 if child == 0:
-    os._exit(psutil.Process().num_threads() if after.is_right() else 0)
-print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), before.is_right(), after.is_right())
+    signal.alarm(30)
+    after()
+    threads = psutil.Process().num_threads()
+    held = refused(lambda: moved(env)) and refused(lambda: env.reset(seed=1))
+    same = (moved(begun(3)) == moved(single)).all()
+    del env
+    sys.exit(threads if after.is_right() and held and same else 99)
+after()
+print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), before.is_right(), after.is_right(), len(moved(env)))
 """
 
 
@@ -65,7 +90,7 @@ def test_several_callers_share_the_threads() -> None:
         assert list(callers.map(_called, [1, 2, 3, 4])) == [CALLS] * 4
 
 
-def test_a_forked_process_has_threads_of_its_own() -> None:
+def test_a_forked_process_has_threads_of_its_own_and_refuses_those_of_others() -> None:
     command = [sys.executable, "-W", "ignore", "-c", _FORKED]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
-    assert done.stdout.split() == ["3", "True", "True"]
+    assert done.stdout.split() == ["3", "True", "True", "8"]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
+import os
+import weakref
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -13,7 +16,7 @@ from dual_ur10.envs.sim.feedforward import FeedForward
 from dual_ur10.envs.sim.handling import NOT_HANDLED, Handling, Props
 from dual_ur10.envs.sim.plant import Plant
 from dual_ur10.envs.sim.servo_reference import Motion
-from dual_ur10.errors import SettingsError
+from dual_ur10.errors import ClosedError, SettingsError
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start, check_start
 from dual_ur10.types import Array, Rows
 
@@ -22,6 +25,16 @@ _LIVE = (
     *("_batch", "_flags", "_warnings", "_integration", "_arms_q", "_arms_qd", "_flange"),
     *("_handling", "_props", "_plant", "_feedforward", "_rendered", "_torque"),
 )
+
+
+def _keep_inherited() -> None:
+    """Never free MuJoCo's memory in a forked process: it would wait for threads that are not there, and abort."""
+    for each in _inherited:
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(each._batch))
+
+
+_inherited: weakref.WeakSet[Physics] = weakref.WeakSet()
+os.register_at_fork(after_in_child=_keep_inherited)
 
 
 class Physics:
@@ -63,6 +76,8 @@ class Physics:
         if not self.contacts:
             model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         self._batch: Any = Batch(model, n, self.threads)
+        self._pid = os.getpid()
+        _inherited.add(self)
         self._warnings, self._integration = self._batch.warning[:, :, 1], self._batch.state
         # A rollout needs no sensors but those of forces; what follows from positions needs no contacts or constraints.
         disable = mujoco.mjtDisableBit
@@ -92,6 +107,18 @@ class Physics:
         ]
         self._rendered: tuple[Any, Any] | None = None
 
+    def _check_process(self) -> None:
+        """Refuse to wait for threads that a forked process does not have.
+
+        Raises:
+            ClosedError: This process was forked from the one that made the simulation, which has several threads.
+        """
+        if self.threads > 1 and os.getpid() != self._pid:
+            raise ClosedError(
+                f"this environment has {self.threads} threads in the process {self._pid}, from which this one was "
+                'forked without them: make it here, or with threads=1, or start processes with "spawn"'
+            )
+
     def _forward(self, rows: Rows | None = None) -> None:
         """Compute what follows from the positions of `rows`, or of all."""
         self._flags[:] = self._positions
@@ -118,7 +145,12 @@ class Physics:
         return view
 
     def perturb(self, values: Mapping[str, Array], rows: Rows) -> None:
-        """Perturb the plant of `rows` by values of `Perturbation.expanded`."""
+        """Perturb the plant of `rows` by values of `Perturbation.expanded`.
+
+        Raises:
+            ClosedError: This process is a fork, and there are several threads.
+        """
+        self._check_process()
         self._plant.write(values, rows)
         self._feedforward.declare_payload(values["declared_payload_kg"])
 
@@ -126,8 +158,10 @@ class Physics:
         """Put the arms of `rows`, and the props, at rest at the start of an episode.
 
         Raises:
+            ClosedError: This process is a fork, and there are several threads.
             UnknownNameError: The start names a prop or joint that the scene does not have.
         """
+        self._check_process()
         check_start(start, self.config.equipment.props)
         self._batch.reset(ids=rows, stage=0)
         self._arms_q[rows] = np.asarray(start.q_rad, dtype=np.float64).reshape(-1, 2, 6)
@@ -176,9 +210,11 @@ class Physics:
             torques: Torques of each arm, in place of its wanted motion; None: it follows the motion.
 
         Raises:
+            ClosedError: This process is a fork, and there are several threads.
             ActionError: A width is beyond the gripper's range.
             SettingsError: The command is for grippers, and the cell has none.
         """
+        self._check_process()
         control = self._control(motion, gripper_m, payload_kg)
         for switch, wanted in zip(self._torque, torques, strict=True):
             switch(control, wanted)

@@ -1,6 +1,7 @@
 """Folder of a training: its specification, state, checkpoints, logs and learning curve.
 
 training.json          specification: `dual_ur10.policies.training.settings.Training`
+lock                   held by the process that trains here
 state/                 state from which --resume continues; see `dual_ur10.policies.training.state`
 samples-0000.safetensors, ...
                        imitation: samples of each round
@@ -14,12 +15,14 @@ progress.csv, events*  logs of Stable-Baselines3's logger: a table, and TensorBo
 from __future__ import annotations
 
 import dataclasses
+import fcntl
 import json
+import logging
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, BinaryIO
 
 import numpy as np
 from pydantic import Field
@@ -41,7 +44,9 @@ from dual_ur10.policies.training.settings import CHECK_SEED, Imitation, Training
 from dual_ur10.policies.training.state import Tensors
 from dual_ur10.sim2real.recording.header import plain
 
-_TRAINING: Final = "training.json"
+log = logging.getLogger(__name__)
+
+_TRAINING, _LOCK = "training.json", "lock"
 
 _Count = Annotated[int, Field(ge=0)]
 
@@ -70,7 +75,7 @@ class Saved(StrictJson):
 
 
 class TrainingFolder:
-    """Folder with everything that a training writes.
+    """Folder with everything that a training writes. It is locked until `close`.
 
     Args:
         path: The folder, which exists.
@@ -90,6 +95,7 @@ class TrainingFolder:
         self.seconds = 0.0
         self.best: str | None = None
         self._logger: Any = None
+        self._lock: BinaryIO | None = None
 
     @classmethod
     def create(cls, path: str | os.PathLike[str], training: Training) -> TrainingFolder:
@@ -109,6 +115,7 @@ class TrainingFolder:
                 f"{folder} is not empty, and nothing is overwritten: choose another folder, or continue with --resume"
             )
         made = cls(folder, training)
+        made._lock = _locked(folder)
         made._write_down()
         return made
 
@@ -123,11 +130,12 @@ class TrainingFolder:
             steps: Total number of environment steps; None: as specified.
 
         Raises:
-            TrainingError: It is no folder of a training, or its files cannot be read.
+            TrainingError: It is no folder of a training, another process trains in it, or its files cannot be read.
         """
         folder = Path(os.path.abspath(path))
         training = _training_of(folder / _TRAINING)
         made = cls(folder, training if steps is None else dataclasses.replace(training, steps=steps))
+        made._lock = _locked(folder)
         if not state.exists(folder / "state"):
             made._write_down()
             return made, None
@@ -192,10 +200,16 @@ class TrainingFolder:
         self.logger.dump(steps)
 
     def close(self) -> None:
-        """Close the logs."""
-        if self._logger is not None:
-            self._logger.close()
-            self._logger = None
+        """Close the logs, and unlock the folder. May be called twice."""
+        logger, self._logger = self._logger, None
+        lock, self._lock = self._lock, None
+        try:
+            if logger is not None:
+                logger.close()
+        finally:
+            if lock is not None:
+                fcntl.flock(lock, fcntl.LOCK_UN)  # a forked process has the file open, too
+                lock.close()
 
     def policy_of(self, networks: Networks, manifest: Manifest) -> LearnedPolicy:
         """Return the policy with these weights, in the environment of the training."""
@@ -296,6 +310,28 @@ def check_of(evaluation: Evaluation, steps: int, seconds: float) -> Check:
     low, high = evaluation.interval
     count = len(evaluation.episodes)
     return Check(steps, seconds, evaluation.mean_return, evaluation.success_rate, count, low, high)
+
+
+def _locked(folder: Path) -> BinaryIO:
+    """Return the file that keeps the folder locked while it is open.
+
+    Raises:
+        TrainingError: Another process trains in this folder, or it cannot be written.
+    """
+    try:
+        file = (folder / _LOCK).open("ab")
+    except OSError as error:
+        raise TrainingError(f"cannot write to {folder}: {error.strerror or error}") from error
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        file.close()
+        raise TrainingError(
+            f"another process trains in {folder}: wait until it has ended, or stop it with Ctrl-C first"
+        ) from None
+    except OSError as error:  # a file system without locks
+        log.warning("%s cannot be locked: %s; do not train in it twice at a time", folder, error.strerror)
+    return file
 
 
 def _training_of(path: Path) -> Training:

@@ -6,7 +6,7 @@ import importlib
 import logging
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -64,8 +64,8 @@ def train(
         initial_policy(training, view)
     if training.dataset:
         read_dataset(training.dataset, view)
-    with _met(training, meet) as person:
-        return _run(TrainingFolder.create(out, training), None, on_progress, threads, person)
+    with _met(training, meet) as person, closing(TrainingFolder.create(out, training)) as folder:
+        return _run(folder, None, on_progress, threads, person)
 
 
 def resume(
@@ -91,13 +91,14 @@ def resume(
         As `train`.
 
     Raises:
-        TrainingError: There is no such training, or its files cannot be read.
+        TrainingError: There is no such training, another process trains in its folder, or its files cannot be read.
     """
     with received(f"the training {os.fspath(out)}"):
         folder, state = TrainingFolder.resume(out, steps)
-        _check_installed(folder.training)
-        with _met(folder.training, meet) as person:
-            return _run(folder, state, on_progress, threads, person)
+        with closing(folder):
+            _check_installed(folder.training)
+            with _met(folder.training, meet) as person:
+                return _run(folder, state, on_progress, threads, person)
 
 
 def _check_installed(training: Training) -> None:

@@ -8,6 +8,7 @@ import errno
 import json
 import os
 import shutil
+from contextlib import closing
 
 import gymnasium as gym
 import numpy as np
@@ -50,7 +51,7 @@ def test_the_folder_holds_every_documented_file(whole):
     samples = {f"samples-000{k}.safetensors" for k in range(3)}
     kept = {name for name in names if name.startswith("steps-")}
     assert kept
-    assert names == {"training.json", "state", "policy", "curve.png", "progress.csv", "events", *samples, *kept}
+    assert names == {"training.json", "lock", "state", "policy", "curve.png", "progress.csv", "events", *samples, *kept}
     assert (folder / "curve.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     table = list(csv.DictReader((folder / "progress.csv").read_text().splitlines()))
     assert [int(each["time/steps"]) for each in table] == [100, 100, 200, 200, 300, 300]  # a fit and a look each
@@ -296,6 +297,13 @@ def test_a_damaged_training_is_refused(short, tmp_path, name, content, match):
     path.unlink() if content is None else path.write_bytes(content)
     with pytest.raises(TrainingError, match=match):
         resume(tmp_path / "out", steps=1000)
+
+
+def test_one_process_at_a_time_trains_in_a_folder(tmp_path):
+    out = tmp_path / "out"
+    for begin in (lambda: folders.TrainingFolder.create(out, small()), lambda: folders.TrainingFolder.resume(out)[0]):
+        with closing(begin()), pytest.raises(TrainingError, match=r"another process trains in .*out: wait"):
+            resume(out)
 
 
 def test_wrong_settings_are_reported_with_their_paths(whole, tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shlex
 import time
@@ -228,7 +229,7 @@ class _Shown:
     def __init__(self, bar: Progress, where: Path) -> None:
         self._bar, self._where = bar, where
         self._row = bar.add_task("beginning", total=None)
-        self._reported_s, self._begun = time.monotonic(), False
+        self._reported_s, self._begun = -math.inf, False
 
     def __call__(self, progress: reporting.Progress) -> None:
         """Show it."""
@@ -236,7 +237,7 @@ class _Shown:
             self._begun = True
             console.print(f"training in {self._where}", highlight=False, soft_wrap=True, markup=False)
         self._bar.update(self._row, description=_text(progress), completed=progress.steps, total=progress.total)
-        if not console.is_terminal and time.monotonic() - self._reported_s > _REPORT_S:
+        if progress.steps and not console.is_terminal and time.monotonic() - self._reported_s > _REPORT_S:
             self._reported_s = time.monotonic()
             console.print(f"{progress.steps} of {progress.total}, {_text(progress)}", highlight=False, soft_wrap=True)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -76,6 +77,7 @@ def test_a_training_prints_its_result_and_the_policy_runs(tmp_path):
     out = tmp_path / "out"
     result = run("train", "SineTracking", *SMALL, "--steps", ROUND, "--out", out)
     assert result.exit_code == 0, result.output
+    assert re.search(r"^training in .*\n\d+ of \d+, ", result.stdout), result.stdout  # without waiting half a minute
     assert f"policy  {out / 'policy'}" in result.stdout
     assert "95 % interval" in result.stdout
     shown = run(

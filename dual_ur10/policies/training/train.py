@@ -128,7 +128,7 @@ def _run(
     threads: int | None,
     person: Person | None,
 ) -> Path:
-    on_progress(Progress(0 if state is None else state[1].steps, folder.training.steps, doing="beginning"))
+    on_progress(Progress(0 if state is None else state[1].steps, folder.training.steps, doing="loading PyTorch"))
     try:
         # Imported on use: they load torch and Stable-Baselines3.
         if folder.training.algorithm in IMITATION:

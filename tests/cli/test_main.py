@@ -610,6 +610,7 @@ def test_misspelled_names_are_answered_with_the_nearest_one(arguments: tuple[str
     ("module", "arguments", "doing"),
     [
         ("rollout", ("rollout", "SineTracking", "-n", "2", "--no-record", *SHORT), "episode 2 of 2"),
+        ("evaluate", ("evaluate", "SineTracking", "-n", "2", *SHORT), "success 100.0 %"),
         ("doctor", ("repeatability", "--paths", "2", "--settle", "0"), "returning home"),
     ],
 )

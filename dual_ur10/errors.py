@@ -116,6 +116,10 @@ class WorkspaceError(SettingsError):
     """Raised when the settings of a task demand poses or speeds that the arms cannot reach."""
 
 
+class TaskError(DualUR10Error, ValueError):
+    """Raised when a task returns a start, an observation, a reward or an info that breaks the contract of tasks."""
+
+
 class CollisionAtStartError(SettingsError):
     """Raised when the arms are in contact, or closer than the safety gate allows, in their start configuration."""
 

@@ -56,6 +56,7 @@ class Reach(Task[ReachSettings, Array]):
     )
     weights: ClassVar[dict[str, float]] = {"distance": 1.0}
     settings_type: ClassVar[type[ReachSettings]] = ReachSettings
+    per_arm: ClassVar[tuple[str, ...]] = ("distance_m",)
     layout: ObservationLayout = ObservationLayout(
         *ARM_FIELDS, Field("goal_base_m", 3, -10.0, 10.0, "position (m)", "goal of the flange", concise=(0.5,))
     )

@@ -129,6 +129,8 @@ class Prop:
     """True if it has a free joint."""
     placed: bool = field(init=False, repr=False, compare=False)
     """True if it is a mocap body."""
+    located: bool = field(init=False, repr=False, compare=False)
+    """True if its MJCF states the position of its body."""
     joints: tuple[str, ...] = field(init=False, repr=False, compare=False)
     """Names of its hinges and slides, in the order of the model, without the prefix."""
 
@@ -143,6 +145,11 @@ class Prop:
         root = _parsed(text, name)
         (top,) = _bodies(root, name)
         _settle_joints(top, name)
+        if any(True for _ in top.iter("camera")):
+            raise SettingsError(
+                f"the prop {name!r} has a <camera> in its MJCF: leave it out, and give the task's scene a Camera, "
+                "Equipment(cameras=...), or the tool one that its visuals draw"
+            )
         top.set("name", top.get("name", "body"))
         free = [each for each in top if _is_free(each)]
         joints = [each for each in top.iter("joint") if each.get("type", "hinge") != "free"]
@@ -155,6 +162,7 @@ class Prop:
             "body": f"{name}/{top.get('name')}",
             "free": bool(free),
             "placed": placed,
+            "located": "pos" in top.attrib,
             "joints": tuple(str(each.get("name")) for each in joints),
             "tracked": bool(free or joints) if self.tracked is None else bool(self.tracked),
         }

@@ -167,6 +167,7 @@ def test_cameras_of_a_scene(config):
         ({"mjcf": xml("<body><freejoint/></body>")}, "or one below its body"),
         ({"mjcf": xml(attributes="mocap='true'")}, "free joint and mocap"),
         ({"mjcf": xml("<joint/>")}, "without a name"),
+        ({"mjcf": xml("<body><camera name='eye'/></body>")}, "has a <camera> in its MJCF: leave it out"),
         ({"mjcf": xml("<joint name='a' type='ball'/>")}, "of the type ball: use hinge or slide"),
         ({"mjcf": xml("<joint name='a'/>", "<default><joint type='ball'/></default>")}, "type of joints in a default"),
         ({"noise": -1.0}, "noise of the prop 'peg' is -1"),

@@ -43,6 +43,7 @@ class AgentDictWrapper(gym.Wrapper[dict[str, Array], dict[str, NDArray[Any]], An
         self._names: frozenset[str] = frozenset()
         self._core = core = env.unwrapped.core  # type: ignore[attr-defined]  # an environment of this package
         check_options("shared", {"observation": core.options.observation})
+        core.keeps_start = True  # the infos of a reset have all keys
         observation, action = agent_spaces(core)
         self.observation_space: Any = spaces.Dict(dict(zip(ARMS, observation, strict=True)))
         self.action_space: Any = spaces.Dict(dict(zip(ARMS, action, strict=True)))

@@ -33,10 +33,10 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
     Both agents' episodes end together. The same seed and the same actions
     give the results of `dual_ur10.envs.api.dual_arm_env.DualArmEnv`, in every bit.
 
-    Each agent's info holds the numbers of that of `DualArmEnv`; of an array with a leading axis of two arms (`q_rad`,
-    `flange_m`, ...) it is the agent's own part. `reward/<term>` are the terms of the agent's reward. After a reset the
-    keys are the same, because libraries make tensors of them, and rewards are 0. All else, such as `end_reason`,
-    `safety` and `randomization`, is in the attribute `info`.
+    Each agent's info holds the numbers of that of `DualArmEnv`; of a value of each arm (`q_rad`, `flange_m`, and those
+    that `Task.per_arm` names) it is the agent's own part. `reward/<term>` are the terms of the agent's reward. After a
+    reset the keys are the same, because libraries make tensors of them, and rewards are 0. All else, such as
+    `end_reason`, `safety` and `randomization`, is in the attribute `info`.
 
     Args:
         task: Id of the environment, or a shorter name.
@@ -79,6 +79,7 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
         self.possible_agents = list(ARMS)
         self.agents: list[str] = []
         core = self._env.core
+        core.keeps_start = True  # the infos of a reset have all keys
         observation, action = agent_spaces(core)
         self.observation_spaces: dict[str, spaces.Space[Array]] = dict(zip(ARMS, observation, strict=True))
         self.action_spaces: dict[str, spaces.Space[NDArray[Any]]] = dict(zip(ARMS, action, strict=True))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
-import numpy as np
 from gymnasium import spaces
 
 from dual_ur10.errors import SettingsError, UnknownNameError
@@ -60,14 +59,12 @@ class AgentSplitter:
     def __init__(self, core: Core, reward: str) -> None:
         self.individual = reward == "individual"
         self._terms = [f"reward/{name}" for name in core.weights]
-        # Names seen so far, and those with an axis of the two arms: that never changes.
-        self._known: set[str] = set()
-        self._per_arm: list[str] = []
+        self._per_arm = core.per_arm
 
     def infos(self, info: dict[str, Any], terms: Array | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
         """Return each agent's info, from that of its cell.
 
-        Of an array with a leading axis of the two arms, each agent gets its own part; other values go to both.
+        Of a value that the task states for each arm, each agent gets its own part; other values go to both.
 
         Args:
             info: As `dual_ur10.envs.api.dual_arm_env.DualArmEnv` returns it. It becomes that of the left agent.
@@ -75,9 +72,6 @@ class AgentSplitter:
                 that `reward/<term>` are always the terms of the agent's reward. None: there was no step.
         """
         left, right = info, info.copy()
-        if not info.keys() <= self._known:
-            self._known.update(info)
-            self._per_arm += [name for name, value in info.items() if name not in self._per_arm and _is_per_arm(value)]
         for name in self._per_arm:
             if name in info:
                 value = info[name]
@@ -86,7 +80,3 @@ class AgentSplitter:
             for agent, values in zip((left, right), terms.tolist(), strict=True):
                 agent.update(zip(self._terms, values, strict=True))
         return left, right
-
-
-def _is_per_arm(value: object) -> bool:
-    return type(value) is np.ndarray and value.ndim > 0 and len(value) == 2

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import copy
+import logging
+import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple, NoReturn
 
 import numpy as np
 from gymnasium import spaces
@@ -20,7 +22,15 @@ from dual_ur10.envs.core.sensing import Sensing
 from dual_ur10.envs.core.setup import EnvSetup, check_for_controllers, check_reset
 from dual_ur10.envs.tasks.observation_layout import ConciseView
 from dual_ur10.envs.tasks.task import Outcome, Timing
-from dual_ur10.errors import ActionError, CellFaulted, ClosedError, DualUR10Error, ResetNeededError, SettingsError
+from dual_ur10.errors import (
+    ActionError,
+    CellFaulted,
+    ClosedError,
+    DualUR10Error,
+    ResetNeededError,
+    TaskError,
+)
+from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import Cell, CellConfig, CellState, CellStep
 from dual_ur10.sim2real.config.cell_kinds import make_cell
 from dual_ur10.sim2real.control.adapter import Command
@@ -33,8 +43,12 @@ from dual_ur10.sim2real.recording.rows import RunRecorder
 from dual_ur10.sim2real.recording.run_folder import prepare
 from dual_ur10.types import Array, Mask, Rows
 
+log = logging.getLogger(__name__)
+
 PHYSICS_ERROR = "the simulation diverged: the observation is that of the last good instant"
 """Text of `info["physics_error"]`."""
+
+_PER_ARM: Final = ("q_rad", "flange_m", "held_arm")
 
 
 class Agents(NamedTuple):
@@ -138,6 +152,8 @@ class Core:
         threads: Number of threads that step, and that draw observed images.
         late_actions: Number of actions that missed their deadline, so that both arms stopped.
         commander: (2,) True for an arm that a person commands in the next step, for the record.
+        keeps_start: Keep what `initial_info` needs of each reset; False, unless an interface asks for it.
+        per_arm: Names of those values of `info` whose second axis is for the left and the right arm.
     """
 
     def __init__(
@@ -180,6 +196,9 @@ class Core:
         self._state: CellState | None = None
         self._begun = False  # whether an episode ever has
         self.late_actions = 0
+        self.keeps_start = False
+        self._started: tuple[Rows, list[np.random.Generator]] | None = None
+        self.per_arm = (*_PER_ARM, *self.task.per_arm)
         self.commander: Mask = np.zeros(2, dtype=bool)
         self._sensing = Sensing(config, self._randomization, setup.timing.period_s, n)
         self._plant = config.perturbation.expanded(n)
@@ -187,6 +206,16 @@ class Core:
         self._observation: Array = np.zeros((n, 2 * self.task.layout.size))
         self._view = self.task.concise_view() if setup.options.concise else None
         self.action_space = self._action_space()
+        self._held: Mask | None = None
+        if setup.options.held_arm is not None:
+            self._held = np.arange(2) == np.full((n, 1), setup.options.held_arm)
+            if not config.controllers:
+                log.warning(
+                    "arm=%r: the %s arm does not move in this simulation, whatever its actions are. Leave `arm` out "
+                    "to move both",
+                    setup.options.arm,
+                    ARMS[setup.options.held_arm],
+                )
         self._dtype = setup.options.dtype
         layout = self.task.layout if self._view is None else self._view.layout
         low, high = layout.low.astype(self._dtype), layout.high.astype(self._dtype)
@@ -245,6 +274,7 @@ class Core:
 
         Raises:
             ResetRefusedError: It would move the arms of two controllers without consent. Nothing has changed.
+            TaskError: The task's observation is not finite, or, at the first reset, not in its bounds.
         """
         cell = self._open()
         if self.config.controllers:
@@ -253,6 +283,7 @@ class Core:
         self._state = None  # if anything fails from here on, a reset is needed
         if self._hook is not None:
             self._hook.resetting(rngs, seed)
+        self._started = (rows, copy.deepcopy(list(rngs))) if self.keeps_start else None
         self.task.forget_load(rows)
         start = self.task.start(rows, rngs)
         sampled = {} if self._randomization.is_none else self._randomization.sample(rngs, len(self._sensing.tracked))
@@ -275,6 +306,9 @@ class Core:
         # The other rows continue with their last observations.
         self._observation = self._observation.copy()
         self._observation[rows] = observation[rows]
+        self._check_finite(self._observation)
+        if not self._begun:
+            self.check_observation()
         self._state, self._begun = state, True
         self.agents = Agents(self._view, self._observation, None, self._weights, self._dtype)
         info: dict[str, Any] = self._measurements(state)
@@ -293,7 +327,8 @@ class Core:
 
         Raises:
             ActionError: The action is malformed. Nothing has moved.
-            SettingsError: The task returned another number of terms than it has weights.
+            TaskError: The task returned a reward or an observation that is not finite, or another number of terms than
+                it has weights. Arms of two controllers have a latched stop.
             ResetNeededError: There was no reset yet.
         """
         cell = self._open()
@@ -302,7 +337,7 @@ class Core:
                 "step was called before the first reset, or after a step that failed: call reset() first"
             )
         # If anything fails from here on, pipeline and cell disagree, and a reset is needed.
-        before, self._state = self._state, None
+        before, self._state, self._started = self._state, None, None
         try:
             command, verdicts = self.pipeline(action, self.task.coupled() if self.task.couples else None)
         except ActionError as error:
@@ -337,6 +372,8 @@ class Core:
         terms_of_arms = self._all_terms(outcome.terms, newly, success)
         terms = (terms_of_arms[:, 0] + terms_of_arms[:, 1]) / 2
         reward: Array = np.vecdot(terms, self._weights)
+        if not math.isfinite(np.vdot(reward, reward)):
+            self._refuse_terms(terms_of_arms)
         info = self._measurements(state)
         info.update(outcome.info)
         info["is_success"] = success
@@ -346,6 +383,7 @@ class Core:
             state = self._sensing(state)
             measured = measured if self._sensing.keeps_poses else self.task.measure(state)
         self._observation = observation = self.task.observe(state, measured, self.pipeline.adapter.commanded_q_rad)
+        self._check_finite(observation)
         self.agents = agents = Agents(self._view, observation, terms_of_arms, self._weights, self._dtype)
         ended, ends = terminated | outcome.over, {}
         if np.count_nonzero(ended):
@@ -372,7 +410,7 @@ class Core:
                 f"{terms.shape[2]} terms",
                 f"{count}, one for each of its weights: {', '.join(self.task.weights)}",
             )
-            raise SettingsError(f"evaluate of {type(self.task).__name__} returned {found}: return {allowed}")
+            self._refuse(f"evaluate of {type(self.task).__name__} returned {found}: return {allowed}")
         if count == len(self._weights):
             return terms
         result = np.zeros((self.n, 2, len(self._weights)))
@@ -382,6 +420,46 @@ class Core:
         if self._is_sparse:
             result[..., -1] = success[:, None]
         return result
+
+    def _check_finite(self, observation: Array) -> None:
+        """Refuse observations of the task that are not finite; one product finds them."""
+        if not math.isfinite(np.vdot(observation, observation)):
+            self._check_within(observation, np.float64(-np.inf), np.float64(np.inf))
+
+    def check_observation(self) -> None:
+        """Check the task's last observations against the bounds of its layout.
+
+        Raises:
+            TaskError: A number is outside. Arms of two controllers have a latched stop.
+        """
+        self._check_within(self._observation, self.task.layout.low, self.task.layout.high)
+
+    def _check_within(self, observation: Array, low: Any, high: Any) -> None:
+        within: Any = np.isfinite(observation) & (observation >= low) & (observation <= high)
+        fields: dict[str, Any] = self.task.layout.split(within)
+        for field in self.task.layout.fields:
+            if not fields[field.name].all():
+                row, arm, _ = np.argwhere(~fields[field.name])[0].tolist()
+                found = self.task.layout.split(observation)[field.name][row, arm].tolist()
+                self._refuse(
+                    f"the field {field.name!r} of the {ARMS[arm]} arm's observation is {found} (cell {row}): "
+                    f"{type(self.task).__name__} states {field.low:g} to {field.high:g}. Mend its `observe`, or the "
+                    "bounds in its layout"
+                )
+
+    def _refuse_terms(self, terms: Array) -> None:
+        """Refuse reward terms of the arms, (n, 2, terms), that are not finite."""
+        for row, arm, number in np.argwhere(~np.isfinite(terms))[:1].tolist():
+            self._refuse(
+                f"the reward term {list(self.weights)[number]!r} of the {ARMS[arm]} arm is "
+                f"{terms[row, arm, number]} (cell {row}): `evaluate` of {type(self.task).__name__} must return finite "
+                "terms"
+            )
+
+    def _refuse(self, reason: str) -> NoReturn:
+        """Refuse what the task returned."""
+        self._open().stop(f"the task failed: {reason}")
+        raise TaskError(reason)
 
     def _end(self, row: int, state: CellState, verdicts: dict[int, Verdict], outcome: Outcome, success: Mask) -> str:
         """Return the reason of the end of an episode."""
@@ -415,6 +493,8 @@ class Core:
 
     def _measurements(self, state: CellState) -> dict[str, NDArray[Any]]:
         found: dict[str, NDArray[Any]] = {"q_rad": state.q_rad.copy(), "flange_m": state.flange_m.copy()}
+        if self._held is not None:
+            found["held_arm"] = self._held.copy()
         if self.config.state_is_commanded:
             found["state_is_commanded"] = np.ones(self.n, dtype=bool)
         return found
@@ -423,12 +503,23 @@ class Core:
         """Return the info that a step would add, for the state after a reset of all cells; rewards are 0.
 
         Raises:
-            ResetNeededError: There was no reset yet.
+            ResetNeededError: No reset of all cells came before that kept its start (`keeps_start`), or a step followed.
+            TaskError: The task states a value of each arm that its info does not have.
         """
-        if self._state is None:
-            raise ResetNeededError("the initial info was asked for before the first reset: call reset() first")
-        task = copy.deepcopy(self.task)  # because an evaluation counts as a step
-        info = task.evaluate(self._state, task.measure(self._state)).info
+        if self._state is None or self._started is None or len(self._started[0]) < self.n:
+            raise ResetNeededError("the initial info is that of a reset: call reset() first, and ask before a step")
+        info = self.task.evaluate(self._state, self.task.measure(self._state)).info
+        # An evaluation counts as a step, so that the episode begins again, with the same random numbers.
+        rows, rngs = self._started
+        self.task.forget_load(rows)
+        self.task.start(rows, copy.deepcopy(rngs))
+        for name in self.task.per_arm:
+            shape = info[name].shape if name in info else None
+            if shape is None or shape[1:2] != (2,):
+                self._refuse(
+                    f"{type(self.task).__name__} states the value {name!r} of each arm, and its info has "
+                    f"{shape or 'none'}: it must be (n, 2, ...)"
+                )
         nothing = {name: np.zeros(self.n) for name in self._terms}
         return {**info, "is_success": np.zeros(self.n, dtype=bool), "led": np.zeros(self.n, dtype=bool), **nothing}
 

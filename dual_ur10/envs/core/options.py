@@ -90,8 +90,8 @@ class EnvOptions:
         confirm: Function that is called on two controllers with a text before the arms move to the start of an episode;
             it returns True to permit the motion. Later resets then need no other consent. None: real arms ask for a
             confirmation at the terminal, emulated ones do not.
-        arm: "left" or "right": the only arm that moves on two controllers; the other one holds its position. None: both
-            move.
+        arm: "left" or "right": the only arm that moves, in simulation, too; the other one holds its position, and
+            `info["held_arm"]`, (2,), is True for it. None: both move.
         record: Folder for the record of this run, which gets its own subfolder; None: no record. On two controllers,
             the last ten seconds before a stop are recorded in any case.
         record_failure: Reaction on two controllers if the record cannot be written any more, for example because the

@@ -28,8 +28,7 @@ class Outcome(NamedTuple):
             weighted sum; the reward of both together is the mean of the two.
         success: (n,) True if the episode ends with success; only where `over` or `terminal` is True.
         over: (n,) True if the time of the episode has run out.
-        info: Values for `info` by name, (n, ...) each. A second axis of 2 is for the left and the right arm; other
-            values must not have one.
+        info: Values for `info` by name, (n, ...) each; see `Task.per_arm`.
         terminal: (n,) True in a terminal state, with success or failure; None: there is none.
     """
 
@@ -84,6 +83,8 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
         couples: True if both arms may hold one object between them; see `coupled`. The cell must know the bases of two
             real arms well enough for that.
         ramp_kg_s: Rate at which the declared payload follows `load_kg`.
+        per_arm: Names of those values of `info` whose second axis is for the left and the right arm, (n, 2, ...). With
+            two agents each gets its own part.
         stages: Names of the stages that `info["stage"]` counts, or empty; 0 is before the first stage.
         settings_type: Dataclass of the task's keywords.
         layout: Fields of an observation; those of an instance depend on its settings.
@@ -101,6 +102,7 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
 
     limits: MotionLimits
     weights: ClassVar[Mapping[str, float]]
+    per_arm: ClassVar[tuple[str, ...]] = ()
     stages: ClassVar[tuple[str, ...]] = ()
     couples: ClassVar[bool] = False
     ramp_kg_s: ClassVar[float] = 2.0
@@ -151,7 +153,10 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
 
     @abstractmethod
     def start(self, rows: Rows, rngs: Sequence[np.random.Generator]) -> Start:
-        """Sample new episodes for `rows`, one generator each, and return their starts, (len(rows), ...) each."""
+        """Sample new episodes for `rows`, one generator each, and return their starts, (len(rows), ...) each.
+
+        Called again with equal generators it must begin the same episodes.
+        """
 
     @abstractmethod
     def measure(self, state: CellState) -> MeasuredT:

@@ -109,6 +109,7 @@ def check_policy(
     Raises:
         PolicyError: The policy breaks a rule above. Arms that it was moving have a latched stop.
         SettingsError: `steps` is not a positive number, or `cell` is no path.
+        TaskError: An observation of the task is outside its bounds.
         DualUR10Error: The environment failed.
     """
     name = env_id_beside(policy, env_id)
@@ -226,6 +227,7 @@ class _Episode:
             PolicyError: See `check_policy`.
         """
         env = self._env
+        check_observation = env.unwrapped.core.check_observation
         observation, _ = env.reset(seed=seed)
         try:
             _reset(self._policy)
@@ -233,6 +235,7 @@ class _Episode:
             while not over and len(self.actions) < most:
                 action = self._act(observation)
                 observation, reward, terminated, truncated, info = env.step(action)
+                check_observation()
                 self.total_reward += float(reward)
                 for name, text in (("safety", "the safety gate refused it"), ("physics_error", "")):
                     if name in info:

@@ -40,7 +40,7 @@ class Take:
     """Poses of a cell and `info` over an episode, from its reset on.
 
     Args:
-        core: Core of an environment of one cell; it may move emulated or real arms.
+        core: Core of an environment of one cell, before its reset; it may move emulated or real arms.
 
     Attributes:
         model: MuJoCo's model of the scene.
@@ -53,6 +53,7 @@ class Take:
         import mujoco
 
         self._core, self.model = core, build_model(core.config.scene)
+        core.keeps_start = True
         self.period_s, self.stages = core.timing.period_s, core.task.stages
         self.mounts_m = np.array([core.config.left.position_m, core.config.right.position_m])
         self.cameras = cameras_of(core.config.scene)

@@ -33,7 +33,7 @@ from dual_ur10.assets.settings import (
     default_mount,
 )
 from dual_ur10.assets.tool import Tool, tools_of
-from dual_ur10.errors import RateError, SettingsError, UnknownNameError
+from dual_ur10.errors import RateError, SettingsError, TaskError, UnknownNameError
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.poses import Poses
 from dual_ur10.kinematics.robots import MODEL_OF_FAMILY
@@ -104,7 +104,7 @@ class Start(NamedTuple):
         q_rad: (k, 2, 6) joint positions, at rest.
         gripper_m: (k, 2) opening of each gripper; None without grippers.
         objects: Poses of props by their names, (k, 7) position in the cell frame and orientation (w, x, y, z) each.
-            One that is left out is where its MJCF has it.
+            One that is left out is where its MJCF has it; then that states a `pos`.
         joints: Positions of the props' joints by their names, (k,) each; one that is left out is as in the MJCF.
         sampled: Random values of the episode by name, (k, ...) each.
     """
@@ -117,11 +117,18 @@ class Start(NamedTuple):
 
 
 def check_start(start: Start, props: Sequence[Prop]) -> None:
-    """Check that a start names props and joints of the scene only.
+    """Check that a start names props and joints of the scene only, and leaves out no prop that has to be placed.
 
     Raises:
         UnknownNameError: It names another one.
+        TaskError: It leaves out a prop whose MJCF states no position, which would be at the cell's origin.
     """
+    for prop in props:
+        if prop.posed and not prop.located and prop.name not in start.objects:
+            raise TaskError(
+                f"the start of an episode leaves out the prop {prop.name!r}, which would be at the cell's origin: give "
+                f"Start.objects[{prop.name!r}] its pose, or the body in its MJCF a pos"
+            )
     posed = [each.name for each in props if each.posed]
     joints = [joint for each in props for joint in each.joints]
     for kind, found, allowed in (("prop that is placed", start.objects, posed), ("joint", start.joints, joints)):

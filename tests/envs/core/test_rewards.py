@@ -10,7 +10,7 @@ from dual_ur10 import policies
 from dual_ur10.envs import parallel_env
 from dual_ur10.envs.core.core import Core
 from dual_ur10.envs.core.setup import EnvSetup
-from dual_ur10.errors import SettingsError, UnknownNameError
+from dual_ur10.errors import SettingsError, TaskError, UnknownNameError
 
 SINE = "DualUR10/SineTracking-v0"
 ACTION = np.full(12, 0.2, dtype=np.float32)
@@ -101,5 +101,5 @@ def test_terms_without_a_weight_each_are_refused(change, found):
     core.task.evaluate = lambda *args: (it := evaluate(*args))._replace(
         terms=np.zeros((1, 2, it.terms.shape[2] + change))
     )
-    with pytest.raises(SettingsError, match=f"SineTracking returned {found}: return 3, one for each"):
+    with pytest.raises(TaskError, match=f"SineTracking returned {found}: return 3, one for each"):
         core.step(np.zeros(12))

@@ -180,6 +180,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         speed_rad_s=(1.2,) * 6, acceleration_rad_s2=10.0, jerk_rad_s3=2000.0, tcp_speed_m_s=1.5
     )
     weights: ClassVar[dict[str, float]] = {"approach": 0.15, "position": 0.75, "synchrony": 0.1}
+    per_arm: ClassVar[tuple[str, ...]] = ("flange_error_m", "flange_rms_m", "orientation_error_rad", "reference_m")
     settings_type: ClassVar[type[SineSettings]] = SineSettings
     layout: ObservationLayout = ObservationLayout(
         *ARM_FIELDS,

@@ -249,6 +249,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         "synchrony": 0.05,
         "squeeze": 0.05,
     }
+    per_arm: ClassVar[tuple[str, ...]] = ("slip_m", "load_share")
     settings_type: ClassVar[type[CarrySettings]] = CarrySettings
     layout: ObservationLayout = ObservationLayout(
         *ARM_FIELDS,

@@ -90,14 +90,9 @@ class ArmReading(NamedTuple):
     gripper_m: float | None
 
 
-class Setpoint(NamedTuple):
-    """One executed servoj target."""
-
-    tick: int
-    q_rad: tuple[float, ...]
-    t_s: float
-    lookahead_s: float
-    gain: float
+Setpoint = tuple[int, tuple[float, ...], float, float, float]
+"""One executed servoj target: control period, target, t, lookahead time and gain. A plain tuple of numbers, since the
+garbage collector visits each kept named tuple in every collection."""
 
 
 @dataclass
@@ -257,7 +252,7 @@ class Controller:
     def note_setpoint(self, q_rad: Sequence[float], t_s: float, lookahead_s: float, gain: float) -> None:
         """Record an executed servoj target."""
         self.setpoints_count += 1
-        self.setpoints.append(Setpoint(self.ticks, tuple(q_rad), float(t_s), float(lookahead_s), float(gain)))
+        self.setpoints.append((self.ticks, tuple(q_rad), float(t_s), float(lookahead_s), float(gain)))
 
     def override(self, name: str, value: Any) -> None:
         """Report this value of a variable to clients from the next tick on, instead of the true one; None ends it."""

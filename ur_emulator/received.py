@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from ur_emulator.registers import Registers
 
@@ -22,18 +22,12 @@ set, end a motion, or keep the connection alive (0).
 """
 
 
-class MotionPackage(NamedTuple):
-    """One package with a motion command.
+MotionPackage = tuple[int, int, tuple[float, ...]]
+"""One package with a motion command: control periods begun at its arrival, the command, and the first six double
+registers, the target if the command has one. It can take effect in the next control period.
 
-    Attributes:
-        tick: Control periods begun at its arrival. It can take effect in the next one.
-        command: One of `MOTION_COMMANDS`.
-        numbers: First six double registers: the target, if the command has one.
-    """
-
-    tick: int
-    command: int
-    numbers: tuple[float, ...]
+A plain tuple of numbers, since the garbage collector visits each kept named tuple in every collection.
+"""
 
 
 class Received:
@@ -74,7 +68,7 @@ class Received:
                 if command in MOTION_COMMANDS:
                     self.motion_count += 1
                     numbers = self._registers.input_double[first : first + 6]
-                    self.motion.append(MotionPackage(tick, command, tuple(numbers)))
+                    self.motion.append((tick, command, tuple(numbers)))
 
     def upload(self, tick: int, text: str) -> None:
         """Record a received program."""
@@ -84,7 +78,7 @@ class Received:
         """Return all counts."""
         return {
             "motion": self.motion_count,
-            "motion_tick": self.motion[-1].tick if self.motion else None,
+            "motion_tick": self.motion[-1][0] if self.motion else None,
             "uploads": self.uploads,
             "upload_tick": self.upload_tick,
             "watchdog": self.watchdog,

@@ -55,20 +55,20 @@ class TargetChecks:
     def _wire(self, arm: int) -> None:
         name, received = ARMS[arm], self.run.observer.controller(arm).received
         packages = self._packages(arm)
-        self.demand(all(each.command == SERVOJ for each in packages), f"{name}: other commands than servoj were sent")
-        targets = np.array([each.numbers for each in packages]).reshape(-1, 6)
+        self.demand(all(each[1] == SERVOJ for each in packages), f"{name}: other commands than servoj were sent")
+        targets = np.array([each[2] for each in packages]).reshape(-1, 6)
         self.demand(bool(np.isfinite(targets).all()), f"{name}: a target is not finite")
         self.demand(bool((np.abs(targets) <= JOINT_RANGE_RAD).all()), f"{name}: a target is out of range")
         self.demand(received.uploads <= self.run.starts, f"{name}: {received.uploads} programs were uploaded")
         if packages:
             watchdog = received.watchdog
             self.demand(
-                watchdog is not None and (self.number > 0 or watchdog[0] <= packages[0].tick),
+                watchdog is not None and (self.number > 0 or watchdog[0] <= packages[0][0]),
                 f"{name}: it moved before its watchdog was armed: {watchdog}",
             )
             self.demand(watchdog is not None and watchdog[1:] == (10.0, "stop"), f"{name}: its watchdog is {watchdog}")
         noted = [each[4].tobytes() for each in self.episode.sent[arm]]
-        came = [np.array(each.numbers).tobytes() for each in packages]
+        came = [np.array(each[2]).tobytes() for each in packages]
         lost = len(noted) - len(came)
         self.demand(came == noted[: len(came)], f"{name}: a target that came is not the one that was sent")
         shaky = any(

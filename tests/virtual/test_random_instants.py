@@ -56,10 +56,9 @@ def check_wire(cell):
     """Check that each controller got a target per tick, none of which exceeds a limit of motion."""
     limits = MotionLimits()
     for server in cell.emulator.servers:
-        received = list(server.controller.received.motion)
-        assert {each.command for each in received} == {SERVOJ}
-        assert set(np.diff([each.tick for each in received])) == {1}
-        targets = np.array([each.numbers for each in received])
+        periods, commands, targets = zip(*server.controller.received.motion, strict=True)
+        assert set(commands) == {SERVOJ}
+        assert set(np.diff(periods)) == {1}
         orders = ((1, limits.speed_rad_s), (2, limits.acceleration_rad_s2), (3, limits.jerk_rad_s3))
         for order, most in orders:
             found = np.abs(np.diff(targets, order, axis=0)) / TICK_S**order

@@ -20,7 +20,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -48,6 +48,7 @@ _POLL_S: Final = 0.002
 _DRAIN_S: Final = 0.2  # for the lines that an ended process printed
 _AUTOGROUP: Final = "/proc/self/autogroup"
 _SCHED_SETATTR: Final = {"x86_64": 314, "aarch64": 274}  # numbers of the system call, which libc does not wrap
+_PR_SET_TIMERSLACK, _PR_GET_TIMERSLACK = 29, 30  # prctl(2)
 _RESET_ON_FORK: Final = 1
 _RESETS: Final = 0x40000000  # the same as part of a policy
 _SCHED_ATTR: Final = struct.Struct("IIQiIQQQ")  # sched_setattr(2): size, policy, flags, nice, priority, slice in ns, ..
@@ -104,6 +105,24 @@ def shorten_slice(slice_s: float = LONGER_SLICE_S, *, inherited: bool) -> float:
         attributes = _SCHED_ATTR.pack(_SCHED_ATTR.size, os.SCHED_OTHER, flags, nice, 0, slice_ns, 0, 0)
         call(number, 0, attributes, 0)
     return 1e-9 * before_ns
+
+
+@contextlib.contextmanager
+def patient_threads(slack_s: float) -> Iterator[None]:
+    """Let threads that start meanwhile sleep up to `slack_s` longer than they ask for, whenever another one wakes.
+
+    Threads of a library that poll cost less so. Threads with a real-time priority sleep exactly.
+    """
+    if sys.platform != "linux":
+        yield
+        return
+    call = ctypes.CDLL(None).prctl
+    before_ns = call(_PR_GET_TIMERSLACK, 0, 0, 0, 0)
+    call(_PR_SET_TIMERSLACK, ctypes.c_ulong(round(1e9 * slack_s)), 0, 0, 0)
+    try:
+        yield
+    finally:
+        call(_PR_SET_TIMERSLACK, ctypes.c_ulong(before_ns), 0, 0, 0)
 
 
 class Child:

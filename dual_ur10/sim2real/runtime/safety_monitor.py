@@ -39,6 +39,9 @@ enforce the reduced limits by a stop, and do not slow down a stream of targets."
 APART_S: Final = 0.024
 """Duration of an error of the relative pose before a stop: three states of a CB3."""
 
+PERIOD_S: Final = 0.004
+"""Shortest time between two checks of both arms. Within it, states of a faster controller are checked together."""
+
 _DELAYS: Final = 10  # number of delays tried within BEHIND_S
 _NEAR: Final = 0.5  # fraction of the allowed error at which the search ends
 
@@ -79,7 +82,7 @@ class SafetyMonitor:
         self._tracking = [Tracking() for _ in arms]
         self._latest: list[ArmStatus | None] = [None for _ in arms]
         self._fresh = [False for _ in arms]
-        self._apart, self._most_apart = 0, round(APART_S / settings.tick_s)
+        self._apart, self._most_apart = 0, round(APART_S / max(settings.tick_s, PERIOD_S))
         self._frames = Frames(settings.mounts)
 
     @property

@@ -126,8 +126,13 @@ class Following:
         reason = self._tracking(status)
         if reason is not None or not self._recent:
             return reason
-        target = status.target_q_rad
-        reason = self._deviation(_outside(target, list(zip(*self._recent, self._newest, strict=True))), self._allowed)
+        target, recent = status.target_q_rad, self._recent
+        # Nearly always it is between a few of them, and so between all.
+        few = list(zip(recent[0], recent[len(recent) // 2], recent[-1], self._newest, strict=True))
+        outside = _outside(target, few)
+        if not max(outside) <= self._slack_rad:  # NaN, too
+            outside = _outside(target, list(zip(*recent, self._newest, strict=True)))
+        reason = self._deviation(outside, self._allowed)
         if reason is None:
             return None
         self.lost = True

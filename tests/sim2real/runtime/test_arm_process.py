@@ -1,12 +1,19 @@
 """Two arms moved by their processes, on a virtual cell."""
 
+import collections
+import ctypes
+import gc
+import sys
+import threading
+import types
+
 import numpy as np
 import pytest
 
 from dual_ur10.errors import LinkError, SettingsError
 from dual_ur10.sim2real.links.json_link import JsonLink
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
-from dual_ur10.sim2real.runtime.arm_process import ArmConnection, ArmProcess, _round_trip_s
+from dual_ur10.sim2real.runtime.arm_process import _KEPT, ArmConnection, ArmProcess, _round_trip_s, _ur_rtde
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
 from dual_ur10.testing import VirtualCell
 from tests.sim2real.runtime.pair import SERVOJ, TICK_S, Pair, assert_rests_on_path, assert_stops_both, numbers_of
@@ -292,3 +299,32 @@ def test_bad_priorities_are_refused():
     for priority in (-1, 91):
         with pytest.raises(SettingsError, match="rt_priority"):
             ArmConnection("left", "127.0.0.2", SERVOJ, "ur10", priority)
+
+
+def test_records_of_a_motion_do_not_burden_the_garbage_collector(pair):
+    pair.begin()
+    kinds = []
+    for _ in range(2):
+        pair.move(80)
+        gc.collect()
+        kinds.append(collections.Counter(type(each) for each in gc.get_objects()))
+    assert max((kinds[1] - kinds[0]).values(), default=0) < 80  # each of them is visited in every full collection
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="timer slack is Linux's")
+def test_threads_of_ur_rtde_wake_together_with_others(monkeypatch):
+    def slack_ns():
+        return ctypes.CDLL(None).prctl(30, 0, 0, 0, 0)  # PR_GET_TIMERSLACK
+
+    class Control:
+        def __init__(self, host):
+            thread = threading.Thread(target=lambda: found.append(slack_ns()))
+            thread.start()
+            thread.join()
+
+    found, before_ns = [], slack_ns()
+    monkeypatch.setitem(sys.modules, "rtde_control", types.SimpleNamespace(RTDEControlInterface=Control))
+    assert isinstance(_ur_rtde("127.0.0.2"), Control)
+    _KEPT.pop()
+    assert found == [1_000_000]
+    assert slack_ns() == before_ns  # targets are sent in time

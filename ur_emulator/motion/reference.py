@@ -14,7 +14,7 @@ from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD, DHParameters
 from dual_ur10.types import Array, constant
 from ur_emulator.motion.cartesian import PoseBlend
 from ur_emulator.motion.compliance import SPEED_CAP, TIME_CONSTANT_S, Compliance
-from ur_emulator.motion.joint_torque import JointTorques, TorqueStream
+from ur_emulator.motion.joint_torque import JointTorques
 from ur_emulator.motion.servo import Servo
 from ur_emulator.motion.tool_kinematics import ArmKinematics, Tool
 from ur_emulator.motion.trajectories import JointBrake, Superposed, Trajectory
@@ -132,7 +132,7 @@ class Reference:
     @property
     def torques(self) -> JointTorques | None:
         """Torques of the control period that was planned last; None in position control."""
-        return self._trajectory.torques if isinstance(self._trajectory, TorqueStream) else None
+        return None if self._trajectory is None else self._trajectory.torques
 
     def observe(self, q_rad: Array, qd_rad_s: Array) -> None:
         """Continue from the measured positions and speeds (6,) under torque control, in which no path is known."""
@@ -150,8 +150,8 @@ class Reference:
         trajectory = self._trajectory
         if trajectory is not None and not trajectory.streamed:
             return True
-        if trajectory is None and not self._yields:
-            return False
+        if not self._yields:
+            return trajectory is not None and max(map(abs, self._rate.tolist())) > _MOVING_RAD_S
         return float(np.abs(self._rate + self._yield).max()) > _MOVING_RAD_S
 
     def plan(
@@ -180,7 +180,7 @@ class Reference:
         """
         if not 0.0 <= scaling <= 1.0:
             raise MotionError(f"the time scaling is {scaling!r}: allowed are 0 to 1")
-        if isinstance(self._trajectory, TorqueStream):
+        if self.torques is not None:
             if self._handle.done:  # not commanded again
                 self._brake(self.assumptions.program_stop_rad_s2)
             else:
@@ -277,7 +277,10 @@ class Reference:
         """
         if not trajectory.governed:
             q = trajectory.positions(step, self._counts)
-            speeds = np.diff(q, axis=0, prepend=before[None]) / step
+            speeds = np.empty(q.shape)
+            np.subtract(q[0], before, out=speeds[0])
+            np.subtract(q[1:], q[:-1], out=speeds[1:])
+            speeds /= step
             used = float((np.abs(speeds) / self.joint_speed_rad_s).max())
             if used > _EXCESS and not isinstance(trajectory, JointBrake):
                 raise _InvalidError(

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from dual_ur10.types import Array
+
+if TYPE_CHECKING:
+    from ur_emulator.motion.joint_torque import JointTorques
 
 ACCELERATION_LIMIT_RAD_S2: Final = 40.0
 """Greatest acceleration of programs: the limit of ur_rtde's argument checks and of UR's manual."""
@@ -106,6 +109,7 @@ class Trajectory(ABC):
         pace: Its time per time of the program, 0 to 1, at the end of the last tick.
         slope: (6,) joint speeds per pace in the last physics step, or None at the start.
         most_rad_s2: Greatest acceleration of a joint, if governed.
+        torques: Torques under which the arm moves; None: it follows the positions.
     """
 
     t: float = 0.0
@@ -116,6 +120,7 @@ class Trajectory(ABC):
     streamed: bool = False
     governed: bool = False
     ticks_left: int = 0
+    torques: JointTorques | None = None
 
     @abstractmethod
     def positions(self, step: float, counts: Array) -> Array:

@@ -77,7 +77,7 @@ class TargetChecks:
         )
         if not shaky:
             self.demand(lost <= 1, f"{name}: {lost} targets were lost")
-            ticks = np.diff([each.tick for each in packages])
+            ticks = np.diff([each[0] for each in packages])
             # A stop of the program ends the reading of targets, which then come together.
             self.demand(bool((ticks >= 1).all()), f"{name}: two targets came in one control period")
 

@@ -221,6 +221,10 @@ class VirtualSystem(System):
                 "emulated cell"
             )
 
+    def idle_s(self) -> float | None:
+        """Return None: a virtual cell takes as long as it takes."""
+        return None
+
     def hurry(self) -> Callable[[], None]:
         """Do nothing: a virtual process runs whenever it is due."""
         return lambda: None

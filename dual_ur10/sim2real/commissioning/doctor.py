@@ -31,6 +31,7 @@ from dual_ur10.sim2real.commissioning.findings import (
     judge,
     link_failure,
     model_findings,
+    processor_finding,
     round_trip_findings,
     safety_findings,
     state_findings,
@@ -70,6 +71,7 @@ _MOST_BYTES: Final = 1 << 20
 _IN_USE: Final = "IN_USE"
 _CLOSED: Final = "port "  # and its number: name of the finding
 _ROUND_TRIPS: Final = 20
+_JUDGED_S: Final = 0.2  # of all checks, for a mean of idle processors
 
 
 @dataclass
@@ -118,7 +120,12 @@ def check_file(cell: CellFile, system: System = LOCAL, *, timeout_s: float = 1.5
         system: Clock and network.
         timeout_s: Time limit of each connection with all its requests.
     """
+    idle_s, begin_s = system.idle_s(), system.clock.now_s()
     findings = check_cell(*(expected_of(arm) for arm in cell.arms), timeout_s=timeout_s, system=system)
+    now_s, took_s = system.idle_s(), system.clock.now_s() - begin_s
+    if idle_s is not None and now_s is not None and took_s > _JUDGED_S:
+        free = (now_s - idle_s) / took_s
+        findings.append(processor_finding(free, cell.arms[0].family, emulated=cell.kind == "emulated"))
     if cell.kind != "emulated" or not any_fails(findings):
         return findings
     of_arms = [each for each in findings if each.arm in ARMS]

@@ -48,6 +48,16 @@ _CONFIGURATIONS_RAD = (
 )
 
 NOT_REPORTED = "not reported by this software"
+
+_CORES: dict[tuple[Family, bool], float] = {
+    ("cb3", False): 0.25,
+    ("cb3", True): 0.35,
+    ("e-series", False): 0.5,
+    ("e-series", True): 0.8,
+}
+"""Processor cores that two arms take in motion, rounded up, by family and whether they are emulated; without what an
+emulated cell takes at rest. Measured by `benchmarks/real_time.py` on x86-64 cores of 2.6 GHz."""
+
 _TOO_BUSY = "this computer, on which the controller is emulated, is too busy: end what else loads it"
 _GIVE = "add it to the cell file, so that it is compared"
 _TO_PENDANT = "correct it in the installation on the pendant, or in the cell file, whichever is wrong"
@@ -367,6 +377,20 @@ def stream_findings(
     found, most = f"{1e3 * jitter_s:.1f} ms", f"at most {1e3 * most_s:g} ms"
     level = "fail" if jitter_s > _MOST_JITTER_S else "warn"
     yield judge(arm, "RTDE jitter", jitter_s <= most_s, found, most, remedy, otherwise=level)
+
+
+def processor_finding(free: float, family: Family, *, emulated: bool) -> Finding:
+    """Check that this computer can run the processes that two moving arms need, besides what runs now.
+
+    Args:
+        free: Number of idle processor cores, a mean over the other checks.
+        family: Family of the controllers.
+        emulated: They are emulated on this computer, and run already.
+    """
+    needed = _CORES[family, emulated]
+    remedy = "end other programs on this computer: actions will be late, and arms stop where it stalls for long"
+    found, expected = f"{free:.1f} cores idle", f"at least {needed:g} for two arms in motion"
+    return judge("cell", "processor", free >= needed, found, expected, remedy, otherwise="warn")
 
 
 def round_trip_findings(arm: str, round_trips_s: Sequence[float], *, loopback: bool = False) -> Iterator[Finding]:

@@ -237,6 +237,13 @@ class System:
             np.seterr(all="ignore")
         hasten(rt_priority, SLICE_S if sends else LONGER_SLICE_S)
 
+    def idle_s(self) -> float | None:
+        """Return the time for which processors of this machine have been idle so far, s, added up; None: unknown."""
+        try:
+            return float(Path("/proc/uptime").read_text().split()[1])
+        except OSError:
+            return None
+
     def hurry(self) -> Callable[[], None]:
         """Let the calling thread run soon after it wakes, without more processor time than its share.
 

@@ -23,6 +23,7 @@ from dual_ur10.sim2real.commissioning.findings import (
     any_fails,
     calibration_findings,
     flange_error_m,
+    processor_finding,
     round_trip_findings,
     safety_findings,
     stream_findings,
@@ -430,6 +431,23 @@ def test_an_emulator_that_has_ended_is_named_first(cb3, tmp_path):
     assert first.message.startswith("cell, emulator: process 2147483647 has ended, expected: running; start it again")
     both = {arm: {**values[arm], "host": host} for arm, host in (("left", "127.0.0.9"), ("right", "127.0.0.10"))}
     assert doctor.check_file(CellFile.read({**values, **both}, "cell.toml"), cb3.system) == [first]  # no port beside it
+
+
+def test_a_machine_that_can_not_hold_two_arms_is_named_before_they_move(cb3, monkeypatch):
+    def checked():
+        return doctor.check_file(CellFile.read(cb3.description, "cell.toml"), cb3.system)[-1]
+
+    assert checked().name != "processor"  # a virtual cell takes its time
+    for cores, level in ((0.3, "warn"), (0.4, "ok")):
+        monkeypatch.setattr(cb3.system, "idle_s", lambda cores=cores: 7.0 + cores * cb3.clock.now_s(), raising=False)
+        found = checked()
+        assert (found.arm, found.name, found.found) == ("cell", "processor", f"{cores:.1f} cores idle")
+        assert found.level == level
+    emulated, real = (processor_finding(0.7, "e-series", emulated=each) for each in (True, False))
+    assert emulated.message.endswith("expected: at least 0.8 for two arms in motion; " + emulated.remedy)
+    assert (emulated.level, real.level) == ("warn", "ok")
+    idle_s = LOCAL.idle_s()
+    assert idle_s is None or idle_s >= 0.0
 
 
 UNSEEN = SeenArm()

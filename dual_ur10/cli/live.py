@@ -57,6 +57,8 @@ Cameras = Annotated[
     ),
 ]
 
+NoBrowser = Annotated[bool, typer.Option("--no-browser", help="Print the address of the page, and open no browser.")]
+
 
 def live(
     env: EnvName,
@@ -88,6 +90,7 @@ def live(
     ] = False,
     arm: OneArm = None,
     power: PowerOn = False,
+    no_browser: NoBrowser = False,
     port: Port = PORT,
     cameras: Cameras = "front",
     seconds: Annotated[float | None, typer.Option("--seconds", min=0.1, help="Stop after this time.")] = None,
@@ -123,11 +126,12 @@ def live(
     )
     try:
         if watches:
-            _watch(setup, page, seconds)
+            _watch(setup, page, seconds, browser=not no_browser)
         else:
             if power:
                 power_on(cell)
-            lead(env, policies or (policy,), operator, keywords, page, seed, seconds, unattended=unattended)
+            acting, browser = policies or (policy,), not no_browser
+            lead(env, acting, operator, keywords, page, seed, seconds, browser=browser, unattended=unattended)
     except KeyboardInterrupt:
         if cell is None or watches:
             console.print("closed")
@@ -138,13 +142,15 @@ def live(
         page.close()
 
 
-def _tell(page: LivePage) -> None:
-    """Print the address of a page, once it is ready."""
+def _tell(page: LivePage, *, browser: bool) -> None:
+    """Print the address of a page once it is ready, and open it in a browser if that is wanted and there is one."""
     console.print(f"the page is at {page.wait_until_ready()}", soft_wrap=True, highlight=False, markup=False)
     console.print("Whoever has this address may press its buttons. Ctrl-C ends it", style="dim")
+    if browser:
+        _open(page.url)
 
 
-def _watch(setup: EnvSetup, page: LivePage, seconds: float | None) -> None:
+def _watch(setup: EnvSetup, page: LivePage, seconds: float | None, *, browser: bool) -> None:
     from dual_ur10.cli.live_session import WatchSession
     from dual_ur10.cli.status_view import StatusView
     from dual_ur10.kinematics.ur10 import ARMS
@@ -159,7 +165,7 @@ def _watch(setup: EnvSetup, page: LivePage, seconds: float | None) -> None:
             stack.enter_context(StatusView(name, each, system=LOCAL))
             for name, each in zip(ARMS, file.arms, strict=True)
         ]
-        _tell(page)
+        _tell(page, browser=browser)
         words = {"arms": f"{file.kind} cell, watched only", "cell": str(file.source)}
         WatchSession(arms, page, words).run(seconds)
 
@@ -173,7 +179,7 @@ def lead(
     seed: int,
     seconds: float | None,
     *,
-    browser: bool = False,
+    browser: bool,
     unattended: bool = False,
 ) -> None:
     """Step an environment and show it in a page, until the time is over, or Ctrl-C.
@@ -211,9 +217,7 @@ def lead(
         person = None if device is None else operator_with(device, setup, mapping)
         names = [each for each in policies if each is not None]
         session = LiveSession(made, actor if first else None, person, page, seed, names, acting)
-        _tell(page)
-        if browser:
-            _open(page.url)
+        _tell(page, browser=browser)
         if setup.config.controllers and not unattended:
             console.print(
                 f"Both arms wait until it is open, and stop {UNATTENDED_S:g} s after it is closed", style="dim"

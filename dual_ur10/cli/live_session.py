@@ -14,7 +14,7 @@ from dual_ur10.cli.options import errors
 from dual_ur10.envs.core.options import MOVE_TO_START
 from dual_ur10.envs.rendering.live.live_page import LivePage
 from dual_ur10.envs.rendering.live.memory import POLICIES, SPEEDS
-from dual_ur10.envs.rendering.live.shown import OPEN, Shown
+from dual_ur10.envs.rendering.live.shown import Shown
 from dual_ur10.errors import CellFaulted, DualUR10Error, RenderError, SettingsError
 from dual_ur10.policies.evaluation.rollout import act
 from dual_ur10.policies.operators.page import PageDevice
@@ -233,7 +233,7 @@ class LiveSession:
         paused, speed = "paused" if self._paused else "", "" if self._speed == 1.0 else f"{self._speed:g}× speed"
         shown.state = f"over: {self._over}" if self._over else ", ".join(filter(None, (speed, paused)))
         if not self._controllers:
-            shown.latch = self._stopped or OPEN
+            shown.stopped = self._stopped
         elif self._stopped:
             shown.words["program"] = self._stopped
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from dual_ur10.cli.live import NOBODY, PAGE_EXTRA, Cameras, Port, buttons_of, lead, policies_of, setup_for
+from dual_ur10.cli.live import NOBODY, PAGE_EXTRA, Cameras, NoBrowser, Port, buttons_of, lead, policies_of, setup_for
 from dual_ur10.cli.options import (
     POLICIES,
     EnvName,
@@ -34,9 +34,7 @@ def view(
             "page switches between them and those of the environment. Default: scripted.",
         ),
     ] = None,
-    no_browser: Annotated[
-        bool, typer.Option("--no-browser", help="Print the address of the page, and open no browser.")
-    ] = False,
+    no_browser: NoBrowser = False,
     port: Port = PORT,
     cameras: Cameras = "front",
     seconds: Annotated[float | None, typer.Option("--seconds", min=0.1, help="Stop after this time.")] = None,

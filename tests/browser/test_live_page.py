@@ -145,19 +145,43 @@ def test_a_second_page_watches_and_may_stop(live, new_page):
     _press(first, "Leave the controls")
     _press(second, "Take the controls")
     _begin(live, second)
-    second.get_by_text("open, arms may move").wait_for()
+    second.get_by_text("STOPPED by the page").wait_for(state="detached")
 
 
-@pytest.mark.parametrize("width", [1280, 400])
-def test_nothing_is_wider_than_the_screen(live, new_page, width):
-    page = new_page(live.url, {"width": width, "height": 400})
-    for name in ("STOP BOTH ARMS", "Take left", "Hand back"):
+@pytest.mark.parametrize(("width", "height"), [(1100, 760), (400, 400)])
+def test_the_stop_is_in_sight_wherever_the_panel_is_scrolled_and_nothing_is_too_wide(live, new_page, width, height):
+    page = new_page(live.url, {"width": width, "height": height})
+    stop = page.get_by_role("button", name="STOP BOTH ARMS")
+    for name in ("Take left", "Hand back", "Take the controls"):
         button = page.get_by_role("button", name=name, exact=True)
         button.scroll_into_view_if_needed()
-        box = button.bounding_box()
-        assert box["x"] >= 0
-        assert box["x"] + box["width"] <= width
+        for each in (button, stop):
+            box = each.bounding_box()
+            assert 0 <= box["x"] <= box["x"] + box["width"] <= width
+        assert 0 <= box["y"] <= box["y"] + box["height"] <= height
+        middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        assert stop.evaluate("(it, at) => it.contains(document.elementFromPoint(...at))", middle)  # nothing covers it
     assert page.evaluate("document.documentElement.scrollWidth") <= width
+
+
+def test_the_space_bar_stops_whatever_has_the_focus_but_a_text_field(live, new_page):
+    page = new_page(live.url, TINY)
+    _begin(live, page)
+    stops = live.page.memory.stops
+    page.evaluate("document.body.appendChild(document.createElement('input')).focus()")
+    page.keyboard.type(" r 1 ")
+    page.evaluate("document.activeElement.remove()")
+    page.get_by_role("button", name="Take both", exact=True).focus()
+    page.keyboard.press("Space")
+    page.get_by_text("STOPPED by the page").wait_for()
+    assert live.page.memory.stops == stops + 1
+    assert not live.operator.commander.any()
+    page.keyboard.press("r")
+    page.get_by_text("STOPPED by the page").wait_for(state="detached")
+    page.keyboard.press("1")
+    until(lambda: live.operator.commander.tolist() == [True, False], SOON_S)
+    page.keyboard.press("0")
+    until(lambda: not live.operator.commander.any(), SOON_S)
 
 
 def test_a_page_loads_nothing_from_elsewhere(live, browser):
@@ -197,6 +221,25 @@ def test_the_button_stops_both_arms_of_controllers(new_page):
             cell.clock.sleep(2.0)
             assert all(arm.phase >= Phase.STOPPED for arm in live.core.cell.runner.arms)
             page.get_by_text("LATCHED").first.wait_for()
+        finally:
+            live.close()
+
+
+def test_both_arms_of_controllers_stop_once_the_last_page_is_closed(new_page):
+    with VirtualCell() as cell:
+        live = Live({"cell": cell}, task="SineTracking", policy="scripted", threaded=False)
+        try:
+            page = new_page(live.url, TINY)
+            live.session.begin(0)
+            live.session.turn()
+            page.get_by_text("streaming").first.wait_for()
+            fault = live.core.cell.runner.cell
+            page.reload()
+            page.get_by_text("none commands").wait_for()
+            assert not fault.fault
+            page.context.close()
+            until(lambda: fault.fault, SOON_S)
+            assert "no live page has been open" in fault.fault
         finally:
             live.close()
 

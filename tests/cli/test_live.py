@@ -113,7 +113,7 @@ def test_a_device_without_a_page_leads_and_the_page_shows_it(drive):
     assert np.abs(driver.commanded - before).max() > 1e-3
     driver.press("stop")
     session.turn()
-    assert driver.words["latch"].startswith("STOPPED")
+    assert driver.words["stop"].startswith("STOPPED")
     driver.press("pause")
     session.turn()
     driver.press("reset")
@@ -130,9 +130,8 @@ def test_motion_led_along_a_limit_is_told(drive):
     told = set()
     for _ in range(100):
         driver.turn()
-        told.add(driver.words["gate"])
-    assert "releases all, leads along what is in the way" in told
-    assert not any(each.startswith("REFUSED") for each in told)
+        told.add(driver.words.get("gate"))
+    assert told == {None, "leads along what is in the way"}
 
 
 def interrupted(*_, **__):
@@ -238,7 +237,7 @@ def test_the_stop_button_lets_both_arms_rest_until_a_reset(drive):
     driver.turn(20)
     driver.press("stop")
     driver.turn(15)
-    assert driver.words["latch"].startswith("STOPPED")
+    assert driver.words["stop"].startswith("STOPPED")
     rest = driver.commanded
     driver.drag(np.tile([0.0, 0.0, 0.5, 1.0, 0.0, 0.0, 0.0], (2, 1)), [True, True])
     driver.press("take_both")
@@ -247,7 +246,7 @@ def test_the_stop_button_lets_both_arms_rest_until_a_reset(drive):
     driver.drag(np.zeros((2, 7)), [False, False])
     driver.press("hand_back", "reset")
     driver.turn(20)
-    assert driver.words["latch"] == "open, arms may move"
+    assert "stop" not in driver.words
     assert np.abs(driver.commanded - rest).max() > 0.01
 
 

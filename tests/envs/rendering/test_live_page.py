@@ -40,16 +40,18 @@ from dual_ur10.envs.rendering.live.memory import (
     Handles,
     LiveMemory,
 )
+from dual_ur10.envs.rendering.live.overlay import STOP_PATH, Overlay
 from dual_ur10.envs.rendering.live.page import Page
 from dual_ur10.envs.rendering.live.panel import LOOKS, Panel, end_of
 from dual_ur10.envs.rendering.live.plots import _known
-from dual_ur10.envs.rendering.live.scene import Poser, parts_of
+from dual_ur10.envs.rendering.live.scene import Poser, parts_of, swollen
 from dual_ur10.envs.rendering.live.viewpoints import CAMERA, NARROW_CAMERA, look_from
 from dual_ur10.errors import DeviceUnpluggedError, MissingExtraError, SettingsError
 from dual_ur10.policies.operators.device import checked
 from dual_ur10.policies.operators.page import PageDevice
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
+from tests.policies.operators.rigs import RawPage
 from tests.waiting import until
 
 viser = pytest.importorskip("viser")
@@ -151,22 +153,32 @@ def test_handles_of_a_page_without_sign_of_life_are_released(memory):
 
 
 def test_presses_arrive_once_and_in_order(memory):
-    for name in ("take_left", "stop", "reset"):
+    for name in ("take_left", "pause", "reset"):
         memory.press(name)
     names, count = memory.pressed(0)
-    assert names == ["take_left", "stop", "reset"]
+    assert names == ["take_left", "pause", "reset"]
     assert memory.pressed(count) == ([], count)
 
 
-def test_every_button_has_a_look_and_a_label_of_its_own():
-    assert {*LOOKS} == {*BUTTONS} - {*SPEEDS, *POLICIES}
-    assert len({each.label for each in LOOKS.values()}) == len(LOOKS)
+def test_a_stop_survives_all_later_presses():
+    with contextlib.closing(RawPage("SineTracking")) as raw:
+        raw.press("stop", *["reset"] * 100)
+        assert "stop" in raw.page.pressed()
+        raw.press("reset")
+        assert raw.page.pressed() == ["reset"]
+
+
+def test_every_button_has_a_look_and_a_label_and_a_key_of_its_own():
+    assert {*LOOKS} == {*BUTTONS} - {*SPEEDS, *POLICIES, "stop"}
+    for field in ("label", "key"):
+        assert len({getattr(each, field) for each in LOOKS.values()}) == len(LOOKS)
+    assert not {each.key for each in LOOKS.values()} & {*"WASDQE"}  # they move the viewpoint
 
 
 @pytest.mark.parametrize(("buttons", "has"), [(EPISODES, True), (("stop", *TAKES), False)])
 def test_a_folder_without_buttons_is_left_out(about, buttons, has):
     gui = MagicMock()
-    Panel(gui, dataclasses.replace(about, buttons=buttons), MagicMock(), MagicMock(), lambda: None)
+    Panel(gui, dataclasses.replace(about, buttons=buttons), MagicMock(), MagicMock())
     folders = [call.args[0] for call in gui.add_folder.call_args_list]
     assert folders == [*(["Episode"] if has else []), "Lead the arms", "Who commands"]
 
@@ -226,13 +238,6 @@ def test_only_the_first_page_commands(commander, memory):
     assert commander.press(1, "reset")
     assert memory.pressed(0)[0] == ["reset"]
     assert not _now(commander, memory).clutch.any()
-
-
-def test_every_page_may_stop(commander, memory):
-    commander.enter(1)
-    commander.enter(2)
-    assert commander.press(2, "stop")
-    assert memory.pressed(0)[0] == ["stop"]
 
 
 @pytest.mark.parametrize("asks", [False, True])
@@ -337,12 +342,19 @@ def test_meshes_are_closed_and_look_outwards():
     model = mujoco.MjModel.from_xml_string(xml)
     volumes = {}
     for part in parts_of(model):
-        corners = part.vertices[part.faces]
-        volumes[part.rgb] = np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
+        volumes[part.rgb] = _volume(part.vertices, part.faces)
+        larger = swollen(part.vertices, part.faces, 1e-3)
+        np.testing.assert_allclose(np.linalg.norm(larger - part.vertices, axis=1), 1e-3)
+        assert _volume(larger, part.faces) > volumes[part.rgb]  # outwards
     grey, red = volumes[(128, 128, 128)], volumes[(255, 0, 0)]
     whole = 0.048 + np.pi * 0.01 + (np.pi * 0.01 + 4 / 3 * np.pi * 1e-3)
     assert grey == pytest.approx(whole, rel=0.06)  # a polygon is smaller than its circle
     assert red == pytest.approx(4 / 3 * np.pi * 0.006, rel=0.1)
+
+
+def _volume(vertices, faces):
+    corners = vertices[faces]
+    return np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
 
 
 def test_tools_and_targets_are_where_mujoco_has_them(setup):
@@ -368,8 +380,9 @@ def served(about):
     model = build_model(about.scene, visuals=False)
     memory = LiveMemory(model.nq, model.nmocap)
     listener = bind(0)
-    server = make_server(listener, "secret", "test")
-    page = Page(server, memory, about)
+    overlay = Overlay("stop" in about.buttons)
+    server = make_server(listener, "secret", "test", overlay)
+    page = Page(server, memory, about, overlay)
     yield listener.getsockname()[1], page, memory, server
     server.stop()
     memory.close()
@@ -377,7 +390,10 @@ def served(about):
 
 def _get(port, path, headers=None):
     connection = http.client.HTTPConnection(LOOPBACK, port, timeout=10)
-    connection.request("GET", path, headers=headers or {})
+    connection.putrequest("GET", path, skip_accept_encoding=True)
+    for name, value in (headers or {}).items():
+        connection.putheader(name, value)
+    connection.endheaders()
     response = connection.getresponse()
     found = response.status, response.headers, response.read()
     connection.close()
@@ -409,7 +425,7 @@ def _connect(port, *, origin, token=None, cookie=None, then=None):
 
 def test_a_page_needs_the_token(served):
     port = served[0]
-    for path in ("/", "/?token=wrong", "/index.html", "/?token="):
+    for path in ("/", "/?token=wrong", "/index.html", "/?token=", "/?token=%FF%FE", STOP_PATH):
         status, headers, body = _get(port, path)
         assert (status, "Set-Cookie" in headers) == (403, False)
         assert b"token" in body
@@ -418,6 +434,7 @@ def test_a_page_needs_the_token(served):
     assert b"<html" in body[:500].lower()
     assert "HttpOnly; SameSite=Strict" in headers["Set-Cookie"]
     assert _get(port, "/", {"Cookie": headers["Set-Cookie"].split(";")[0]})[0] == 200
+    assert _get(port, "/", {"Cookie": f"dual_ur10_live_{port}=\xff"})[0] == 403
 
 
 def test_a_connection_needs_its_own_origin_and_the_token(served):
@@ -583,13 +600,19 @@ def test_the_latch_and_the_supervisor_are_said_in_words(controllers):
     assert found.words(100.1)["latch"] == "LATCHED: a test"
 
 
-def test_a_stop_is_latched_without_the_program(served, controllers):
-    _, page, memory, _ = served
+def test_a_stop_is_latched_without_the_program_for_each_page_that_knows_the_token(served, controllers):
+    port, page, memory, _ = served
     arms, cell, found = controllers
     memory.attach((arms[0].name, arms[1].name), cell.name)
     page.poll()
-    page._stop()
+    cookie = {"Cookie": f"dual_ur10_live_{port}=secret"}
+    assert b"STOP BOTH ARMS" in _get(port, "/index.html", {**cookie, "Accept-Encoding": "gzip"})[2]
+    assert _get(port, STOP_PATH)[0] == 403
+    assert _get(port, STOP_PATH, {**cookie, "Sec-Fetch-Site": "same-site"})[0] == 403  # a page of another port
+    assert (cell.fault, memory.stops) == ("", 0)
+    assert _get(port, STOP_PATH, cookie)[0] == 200
     assert "live page" in cell.fault
+    assert memory.stops == 1
     page.poll()
     assert "LATCHED" in found.words(0.0)["latch"]
 

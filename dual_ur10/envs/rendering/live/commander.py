@@ -77,10 +77,15 @@ class Commander:
             self._release()
             return True
 
-    def press(self, client: int, button: str) -> bool:
-        """Forward a press. Return False if it does not count, because another page commands. A stop always counts."""
+    def stop(self) -> None:
+        """Forward a press of "stop", of any page."""
         with self._lock:
-            if button != "stop" and client != self.client:
+            self._memory.press("stop")
+
+    def press(self, client: int, button: str) -> bool:
+        """Forward a press of another button. Return False if it does not count, because another page commands."""
+        with self._lock:
+            if client != self.client:
                 return False
             self._memory.press(button)
             return True

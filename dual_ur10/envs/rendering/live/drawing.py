@@ -10,17 +10,22 @@ import numpy as np
 
 from dual_ur10.envs.rendering.images import Canvas
 from dual_ur10.envs.rendering.live.about import About
-from dual_ur10.envs.rendering.live.scene import MOVED_M, Poser, parts_of
+from dual_ur10.envs.rendering.live.scene import MOVED_M, Poser, parts_of, swollen
 from dual_ur10.errors import RenderError
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.types import Array
 
+APART_M: Final = 0.02
+"""Distance of a tool from its target from which on the target is shown."""
+
 _IMAGE_SIZE: Final = (320, 240)
 _IMAGE_S: Final = 0.25
 _IMAGE_SHARE: Final = 0.1  # of a core, at most, for drawing images
-_APART_M: Final = 0.003  # distance of a tool from its target from which on the target is shown
+_SWOLLEN_M: Final = 0.003  # of the target's surfaces: where they lie on those of the arm, a browser mixes both
 _TARGET_OPACITY: Final = 0.3
-_TARGET_RGB: Final = ((40, 120, 255), (255, 120, 20))
+
+TARGET_RGB: Final = ((40, 120, 255), (255, 120, 20))
+"""Red, green and blue, 0 to 255, of the target of each arm."""
 
 
 class Drawing:
@@ -58,9 +63,9 @@ class Drawing:
                 parent = self._frame(server, part.body, target=True)
                 server.scene.add_mesh_simple(
                     f"{parent}/{number}",
-                    part.vertices.astype(np.float32),
+                    swollen(part.vertices, part.faces, _SWOLLEN_M).astype(np.float32),
                     part.faces,
-                    color=_TARGET_RGB[self._arms[part.body]],
+                    color=TARGET_RGB[self._arms[part.body]],
                     opacity=_TARGET_OPACITY,
                     cast_shadow=False,
                     receive_shadow=False,
@@ -81,7 +86,7 @@ class Drawing:
         away_m = self._poser.away_m()
         for (body, target), frame in self._frames.items():
             if target:
-                shown = bool(away_m[self._arms[body]] > _APART_M)
+                shown = bool(away_m[self._arms[body]] > APART_M)
                 if frame.visible != shown:
                     frame.visible = shown
                 if not shown:

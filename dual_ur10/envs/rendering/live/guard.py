@@ -17,6 +17,7 @@ import urllib.parse
 from collections.abc import Callable, Iterator
 from typing import Any, Final
 
+from dual_ur10.envs.rendering.live.overlay import STOP_PATH, Overlay
 from dual_ur10.errors import MissingExtraError, SettingsError
 
 LOOPBACK: Final = "127.0.0.1"
@@ -26,6 +27,7 @@ PORT: Final = 8642
 """Port of the page, unless another one is named."""
 
 _COOKIE: Final = "dual_ur10_live_{}"
+_SENDER, _OWN = "Sec-Fetch-Site", "same-origin"  # cookies know no ports: it tells other servers' pages from this one
 _LARGEST_BYTES: Final = 2**16  # of a message from a browser: a press or a pose
 _PING_S, _PONG_S = 2.0, 4.0  # a page that is lost without a word is gone after at most their sum
 _REFUSED: Final = "This page needs the token of its program: open the whole address that it has printed.\n"
@@ -50,13 +52,14 @@ def address(port: int, token: str) -> str:
     return f"http://{LOOPBACK}:{port}/?token={token}"
 
 
-def make_server(listener: socket.socket, token: str, label: str) -> Any:
+def make_server(listener: socket.socket, token: str, label: str, overlay: Overlay) -> Any:
     """Return a viser server behind all guards.
 
     Args:
         listener: Bound socket of the loopback interface.
         token: Secret of the page's address.
         label: Title of the panel.
+        overlay: Button that stops both arms.
 
     Raises:
         MissingExtraError: viser is not installed.
@@ -65,7 +68,7 @@ def make_server(listener: socket.socket, token: str, label: str) -> Any:
         import viser
     except ImportError:
         raise MissingExtraError("viser", "live", "the live page") from None
-    with _guarded(listener, token):
+    with _guarded(listener, token, overlay):
         server = viser.ViserServer(host=LOOPBACK, port=listener.getsockname()[1], label=label, verbose=False)
     # Hiding the button would not do: a message is enough.
     server.request_share_url = _nothing  # type: ignore[method-assign]
@@ -78,7 +81,7 @@ def _nothing(*_: Any, **__: Any) -> None:
 
 
 @contextlib.contextmanager
-def _guarded(listener: socket.socket, token: str) -> Iterator[None]:
+def _guarded(listener: socket.socket, token: str, overlay: Overlay) -> Iterator[None]:
     """Let servers of websockets that are made within the block serve this socket, behind the guards."""
     import websockets.asyncio.server as module
 
@@ -92,7 +95,7 @@ def _guarded(listener: socket.socket, token: str) -> Iterator[None]:
             handler,
             sock=listener,
             origins=origins,
-            process_request=_checked(process_request, token, port),
+            process_request=_checked(process_request, token, port, overlay),
             **settings,
         )
 
@@ -103,23 +106,41 @@ def _guarded(listener: socket.socket, token: str) -> Iterator[None]:
         module.serve = serve  # type: ignore[misc]
 
 
-def _checked(process_request: Callable[[Any, Any], Any], token: str, port: int) -> Callable[[Any, Any], Any]:
+def _checked(
+    process_request: Callable[[Any, Any], Any], token: str, port: int, overlay: Overlay
+) -> Callable[[Any, Any], Any]:
     """Return a handler that refuses requests without the token, and gives a page with the token a cookie of it.
 
-    The handshake of the page's own connection has no query, so that the cookie carries the token there.
+    The handshake of the page's own connection has no query, so that the cookie carries the token there. The same holds
+    for the requests of the button that stops both arms.
     """
     name = _COOKIE.format(port)
+
+    def answer(connection: Any, request: Any) -> Any:
+        if overlay.stops and request.path == STOP_PATH:
+            if request.headers.get(_SENDER, _OWN) != _OWN:
+                return connection.respond(http.HTTPStatus.FORBIDDEN, _REFUSED)
+            overlay.on_stop()
+            return connection.respond(http.HTTPStatus.OK, "stopped\n")
+        with contextlib.suppress(KeyError):
+            del request.headers["Accept-Encoding"]  # nothing can be added to a compressed page
+        response = process_request(connection, request)
+        if response is not None and response.headers.get("Content-Type", "").startswith("text/html"):
+            response.body = overlay.over(response.body)
+            del response.headers["Content-Length"]
+            response.headers["Content-Length"] = str(len(response.body))
+        return response
 
     def check(connection: Any, request: Any) -> Any:
         asked = urllib.parse.parse_qs(urllib.parse.urlsplit(request.path).query).get("token", [""])[-1]
         if _equal(asked, token):
-            response = process_request(connection, request)
+            response = answer(connection, request)
             if response is not None:
                 response.headers["Set-Cookie"] = f"{name}={token}; Path=/; HttpOnly; SameSite=Strict"
                 response.headers["Referrer-Policy"] = "no-referrer"
             return response
         if _equal(_cookie(request, name), token):
-            return process_request(connection, request)
+            return answer(connection, request)
         return connection.respond(http.HTTPStatus.FORBIDDEN, _REFUSED)
 
     return check
@@ -134,4 +155,4 @@ def _cookie(request: Any, name: str) -> str:
 
 
 def _equal(found: str, token: str) -> bool:
-    return hmac.compare_digest(found.encode(), token.encode())
+    return hmac.compare_digest(found.encode(errors="replace"), token.encode())

@@ -51,7 +51,7 @@ class LivePage:
         shape = self._model.nq, self._model.nmocap
         self.memory = LiveMemory(*shape)
         self.url = ""
-        self._pressed = 0
+        self._pressed = self._stops = 0
         token = secrets.token_urlsafe(24)
         self._process: Process = system.spawn(
             main, self.memory.name, shape, about, port, token, system.pid, name="live page", output=_forget
@@ -132,7 +132,8 @@ class LivePage:
     def pressed(self) -> list[str]:
         """Return the buttons pressed since the last call."""
         names, self._pressed = self.memory.pressed(self._pressed)
-        return names
+        stops, self._stops = self._stops, self.memory.stops
+        return names if stops == self._stops else ["stop", *names]
 
     @property
     def is_running(self) -> bool:

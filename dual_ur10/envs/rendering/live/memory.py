@@ -45,7 +45,7 @@ _PRESSES: Final = 64
 _TEXT: Final = 32_768
 _LONGEST: Final = 400  # characters of a line
 _TRIES: Final = 1000
-_ROWS, _WORDS, _HANDLES, _PRESSED, _BEAT, _READY, _CLOSING, _PAGES, _ATTACHED = range(9)
+_ROWS, _WORDS, _HANDLES, _PRESSED, _BEAT, _READY, _CLOSING, _PAGES, _ATTACHED, _STOPS = range(10)
 _HANDLE_SIZE: Final = 2 * 7 + 2 + 2 + 1
 
 SCALARS: Final = (
@@ -194,7 +194,10 @@ class LiveMemory:
         self._ints[_HANDLES] = count + 1
 
     def press(self, button: str) -> None:
-        """Write a press of a button."""
+        """Write a press of a button. Those of "stop" are counted apart: no later press overwrites one."""
+        if button == "stop":
+            self._ints[_STOPS] += 1
+            return
         count = self._ints[_PRESSED]
         self._presses[count % _PRESSES] = BUTTONS.index(button)
         self._ints[_PRESSED] = count + 1
@@ -266,8 +269,13 @@ class LiveMemory:
                 return Handles(row[:14].reshape(2, 7), row[14:16] > 0.5, row[16:18], float(row[18]))
         raise LinkError("the handles of a live page are written faster than they can be read: check what writes them")
 
+    @property
+    def stops(self) -> int:
+        """Number of presses of "stop"."""
+        return self._ints[_STOPS]
+
     def pressed(self, since: int) -> tuple[list[str], int]:
-        """Return the names of the buttons pressed from number `since` on, and the next number."""
+        """Return the names of the other buttons pressed from number `since` on, and the next number."""
         count = self._ints[_PRESSED]
         first = max(since, count - _PRESSES + 1)
         return [BUTTONS[self._presses[number % _PRESSES]] for number in range(first, count)], count

@@ -18,6 +18,7 @@ from dual_ur10.envs.rendering.live.drag_handles import DragHandles
 from dual_ur10.envs.rendering.live.drawing import Drawing, Pictures
 from dual_ur10.envs.rendering.live.guard import address, bind, make_server
 from dual_ur10.envs.rendering.live.memory import LiveMemory, Row
+from dual_ur10.envs.rendering.live.overlay import Overlay
 from dual_ur10.envs.rendering.live.panel import Panel
 from dual_ur10.envs.rendering.live.plots import Plots
 from dual_ur10.envs.rendering.live.scene import Poser
@@ -45,13 +46,14 @@ class Page:
         server: viser's server.
         memory: Memory of the program.
         about: What the page shows.
+        overlay: Button that stops both arms.
         system: Clock.
 
     Attributes:
         commander: The one page that commands.
     """
 
-    def __init__(self, server: Any, memory: LiveMemory, about: About, system: System = LOCAL) -> None:
+    def __init__(self, server: Any, memory: LiveMemory, about: About, overlay: Overlay, system: System = LOCAL) -> None:
         self._server, self._memory, self._about, self._clock = server, memory, about, system.clock
         self.commander = Commander(memory, system.clock, asks=about.controllers)
         required = about.commands and about.controllers and not about.unattended
@@ -69,18 +71,20 @@ class Page:
         camera = server.initial_camera
         camera.position, camera.look_at, camera.up, camera.fov = *CAMERA, (0.0, 0.0, 1.0), FOV_RAD
         with server.atomic():
-            self._panel = Panel(server.gui, about, self.commander, self._handles, self._stop)
+            self._panel = Panel(server.gui, about, self.commander, self._handles)
             self._drawing = Drawing(server, model, self._poser)
             self._drawing.draw()
             self._pictures = Pictures(server.gui, about, model)
             self._plots = Plots(server.gui, about)
+        overlay.on_stop = self._stop
         server.on_client_connect(self._enter)
         server.on_client_disconnect(self._leave)
 
     def _stop(self) -> None:
-        """Latch a stop of both arms of controllers, without waiting for the program."""
+        """Latch a stop of both arms of controllers, without waiting for the program, which stops simulated arms."""
         if self._controllers is not None:
             self._controllers.cell.enter_fault(STOPPED)
+        self.commander.stop()
 
     async def _enter(self, client: Any) -> None:
         if client.camera.aspect < NARROW:
@@ -127,7 +131,8 @@ class Page:
         if self._pictures.failure:
             words["cameras"] = self._pictures.failure
         count, client = self._memory.pages, self.commander.client
-        words["pages"] = f"{count} open, {'one commands' if client is not None else 'none commands'}"
+        if self._about.controllers or count != 1 or client is None:
+            words["pages"] = f"{count} open, {'one commands' if client is not None else 'none commands'}"
         if not self._about.commands:
             words["pages"] = f"{count} open; this program only watches, --command lets one page command"
         self._panel.say(words)
@@ -157,8 +162,9 @@ def main(
     memory = LiveMemory(*shape, name)
     try:
         listener = bind(port)
-        server = make_server(listener, token, about.title)
-        page = Page(server, memory, about, system)
+        overlay = Overlay("stop" in about.buttons)
+        server = make_server(listener, token, about.title, overlay)
+        page = Page(server, memory, about, overlay, system)
     except DualUR10Error as error:
         memory.enter_ready({"error": str(error), "kind": type(error).__name__})
         return

@@ -11,6 +11,7 @@ from dual_ur10.assets.visuals import FIXED_CAMERAS
 from dual_ur10.envs.rendering.live.about import About
 from dual_ur10.envs.rendering.live.commander import Commander
 from dual_ur10.envs.rendering.live.drag_handles import DragHandles
+from dual_ur10.envs.rendering.live.drawing import APART_M, TARGET_RGB
 from dual_ur10.envs.rendering.live.memory import BUTTONS, POLICIES, SPEEDS, TAKES
 from dual_ur10.envs.rendering.live.viewpoints import START, look_from
 from dual_ur10.kinematics.ur10 import ARMS
@@ -26,29 +27,30 @@ class Button:
     Attributes:
         label: Text.
         hint: Text beside the pointer.
+        key: Hotkey, as viser names it. W, A, S, D, Q, E and the arrow keys move its viewpoint.
         color: Colour, as viser names it.
     """
 
     label: str
     hint: str
+    key: str
     color: str = "gray"
 
 
 LOOKS: Final[Mapping[str, Button]] = {
-    "stop": Button("STOP BOTH ARMS", "Stop both arms at once. Every open page may.", "red"),
-    "reset": Button("Reset", "Begin the episode again, with the same seed"),
-    "record": Button("Record", "Begin to keep the episode"),
-    "success": Button("Success", "Keep the episode as a success", "green"),
-    "discard": Button("Discard", "Throw the episode away"),
-    "take_left": Button("Take left", "Lead the left arm by its handle; the policy leads the other"),
-    "take_right": Button("Take right", "Lead the right arm by its handle; the policy leads the other"),
-    "take_both": Button("Take both", "Lead both arms by their handles"),
-    "hand_back": Button("Hand back", "Let the policy lead both arms again"),
-    "pause": Button("Pause / go on", "Stop and start the simulation's time"),
-    "step": Button("One step", "Advance the paused simulation by one action"),
-    "next_seed": Button("Next seed", "Begin the episode of the next seed"),
+    "reset": Button("Reset", "Begin the episode again, with the same seed", "R"),
+    "record": Button("Record", "Begin to keep the episode", "B"),
+    "success": Button("Success", "Keep the episode as a success", "K", "green"),
+    "discard": Button("Discard", "Throw the episode away", "backspace"),
+    "take_left": Button("Take left", "Lead the left arm by its handle; the policy leads the other", "1"),
+    "take_right": Button("Take right", "Lead the right arm by its handle; the policy leads the other", "2"),
+    "take_both": Button("Take both", "Lead both arms by their handles", "3"),
+    "hand_back": Button("Hand back", "Let the policy lead both arms again", "0"),
+    "pause": Button("Pause / go on", "Stop and start the simulation's time", "P"),
+    "step": Button("One step", "Advance the paused simulation by one action", "O"),
+    "next_seed": Button("Next seed", "Begin the episode of the next seed", "N"),
 }
-"""Looks of the buttons, by their names; those of `SPEEDS` and `POLICIES` stand in groups."""
+"""Looks of the buttons, by their names. Those of `SPEEDS` and `POLICIES` stand in groups, "stop" above the panel."""
 
 
 class Panel:
@@ -59,16 +61,12 @@ class Panel:
         about: What the page shows.
         commander: The one page that commands.
         handles: Drag handles of the pages.
-        stop: Stops both arms of controllers at once.
     """
 
-    def __init__(
-        self, gui: Any, about: About, commander: Commander, handles: DragHandles, stop: Callable[[], None]
-    ) -> None:
-        self._commander, self._handles, self._stop = commander, handles, stop
-        if "stop" in about.buttons:
-            self._add_button(gui, "stop")
+    def __init__(self, gui: Any, about: About, commander: Commander, handles: DragHandles) -> None:
+        self._commander, self._handles, self._stops = commander, handles, "stop" in about.buttons
         self._words = gui.add_html(_table({}))
+        gui.add_html(_legend())
         cameras = *FIXED_CAMERAS, *about.scene.equipment.cameras
         viewpoints = {START: None, **{each.name: each for each in cameras}}
         group = gui.add_button_group(
@@ -110,14 +108,15 @@ class Panel:
 
     def _add_button(self, gui: Any, name: str) -> None:
         look = LOOKS[name]
-        button = gui.add_button(look.label, hint=look.hint, color=look.color)
+        # The space bar stops both arms where something does.
+        key = "space" if name == "pause" and not self._stops else look.key
+        button = gui.add_button(look.label, hint=f"{look.hint}. Key: {key}", color=look.color)
 
         async def press(event: Any) -> None:
-            if name == "stop":
-                self._stop()
             self._press(event, name)
 
         button.on_click(press)
+        gui.add_command(look.label, hotkey=key).on_trigger(press)
 
     def _add_group(self, gui: Any, label: str, names: Mapping[str, str]) -> None:
         """Add buttons side by side: their names by their texts."""
@@ -173,6 +172,14 @@ def end_of(name: str, names: Collection[str]) -> str:
     return name if end == name or any(each.endswith(end) for each in names if each != name) else f"…{end}"
 
 
+def _legend() -> str:
+    """Return what the colours of the scene mean, as HTML."""
+    marks = (f'<span style="color:rgb{rgb}">\u25a0</span>' for rgb in TARGET_RGB)
+    names = " ".join(f"{mark} {arm} arm" for mark, arm in zip(marks, ARMS, strict=True))
+    text = f"Targets more than {1e3 * APART_M:g} mm away: {names}"
+    return f'<div style="font-size:0.75rem;margin:2px 0.6rem">{text}</div>'
+
+
 def _table(words: Mapping[str, str]) -> str:
     rows = "".join(
         f'<tr><th style="text-align:left;vertical-align:top;padding:1px 10px 1px 0;white-space:nowrap;'
@@ -187,5 +194,5 @@ def _cell(text: str) -> str:
     return f'<b style="color:#c92a2a">{html.escape(text)}</b>' if alarming else html.escape(text)
 
 
-if not {*LOOKS, *SPEEDS, *POLICIES} == {*BUTTONS}:
+if not {*LOOKS, *SPEEDS, *POLICIES, "stop"} == {*BUTTONS}:
     raise RuntimeError("every button of the page has a look")

@@ -57,6 +57,18 @@ def parts_of(model: Any) -> list[Part]:
     return [Part(body, *_joined(meshes), rgb, opacity) for (body, rgb, opacity), meshes in found.items()]
 
 
+def swollen(vertices: Array, faces: NDArray[np.uint32], by_m: float) -> Array:
+    """Return the vertices of a mesh, (k, 3), each moved outwards along the mean normal of its faces."""
+    corners = vertices[faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    total = np.zeros_like(vertices)
+    for corner in range(3):
+        np.add.at(total, faces[:, corner], normal)
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    result: Array = vertices + by_m * total / np.maximum(length, 1e-12)
+    return result
+
+
 def _joined(meshes: list[tuple[Array, NDArray[np.uint32]]]) -> tuple[Array, NDArray[np.uint32]]:
     first = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
     faces = [each + at for (_, each), at in zip(meshes, first, strict=False)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -11,9 +11,6 @@ from dual_ur10.envs.rendering.live.live_page import LivePage
 from dual_ur10.envs.rendering.live.memory import COMMANDERS
 from dual_ur10.envs.rendering.marks import describe
 from dual_ur10.kinematics.ur10 import ARMS
-
-OPEN: Final = "open, arms may move"
-"""Text of a latch that stops nothing."""
 
 
 class Shown(gym.Wrapper[Any, Any, Any, Any]):
@@ -26,7 +23,7 @@ class Shown(gym.Wrapper[Any, Any, Any, Any]):
 
     Attributes:
         words: Lines of the page that the program adds.
-        latch: Line of the latch; "": the page reads that of controllers itself.
+        stopped: Reason why simulated arms rest; "": they do not. The page reads the latch of controllers itself.
         state: Addition to the line of the episode, such as "paused".
         waiting: What the program waits for, such as "press Record to begin an episode"; a reset forgets it.
         late_s: Delay of the next step that the program knows of; NaN: unknown.
@@ -44,8 +41,7 @@ class Shown(gym.Wrapper[Any, Any, Any, Any]):
         }
         if config.controllers:
             page.attach(self._core.cell)
-        self.latch = "" if config.controllers else OPEN
-        self.state = self.waiting = ""
+        self.stopped = self.state = self.waiting = ""
         self.late_s = np.nan
         self.episode, self.steps = -1, 0
         self._return = 0.0
@@ -58,7 +54,8 @@ class Shown(gym.Wrapper[Any, Any, Any, Any]):
         """Begin an episode; see `gymnasium.Env.reset`."""
         observation, info = self.env.reset(**arguments)
         self.episode, self.steps, self._return = self.episode + 1, 0, 0.0
-        self._gate, self._info, self._seed = "releases all", info, arguments.get("seed")
+        self._gate = "releases all" if self._core.config.controllers else ""
+        self._info, self._seed = info, arguments.get("seed")
         self._is_over, self.waiting = False, ""
         self._show({})
         return observation, info
@@ -115,7 +112,9 @@ class Shown(gym.Wrapper[Any, Any, Any, Any]):
         found["success"] = f"{success}; {self._succeeded} of {self._ended} episodes"
         for arm, who in zip(ARMS, self._leaders, strict=True):
             found[f"{arm} arm"] = f"led by {'the ' * (who != 'nobody')}{who}"
-        found["gate"] = self._gate + (", leads along what is in the way" if info.get("led", False) else "")
-        if self.latch:
-            found["latch"] = self.latch
+        led = "leads along what is in the way" if info.get("led", False) else ""
+        if gate := ", ".join(filter(None, (self._gate, led))):
+            found["gate"] = gate
+        if self.stopped:
+            found["stop"] = self.stopped
         self._page.say(found)

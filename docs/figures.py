@@ -1,4 +1,4 @@
-"""Draw the plots of the benchmarks and of the stock learners from the JSON beside those pages (extra `plot`)."""
+"""Draw the plots of the benchmarks and of the stock learners from the JSON beside those pages, and the diagrams."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import hashlib
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib
 
@@ -125,38 +125,107 @@ def stages(axis: Any, rows: Rows) -> None:
     axis.grid(alpha=0.3)
 
 
-LOOP = (
-    ("policy", ""),
-    ("adapter", "targets of\none period"),
-    ("leading", "along what\nis near"),
-    ("safety gate", "releases\nor refuses"),
-    ("cell", "waits for\nL ticks"),
-    ("arms", "simulated\nor real"),
-    ("CellState", "what a real cell\ncan measure"),
-    ("task", "observes,\nevaluates"),
-)
-"""Parts of a policy period in their order, with what each does."""
+class Diagram(NamedTuple):
+    """Boxes and arrows.
+
+    Attributes:
+        boxes: Column and row of each box, and what it does, by its name.
+        arrows: Names of both ends, the text beside the middle, and True for both directions.
+        size: Width and height in inches.
+    """
+
+    boxes: dict[str, tuple[float, float, str]]
+    arrows: list[tuple[str, str, str, bool]]
+    size: tuple[float, float]
+
+    def draw(self, axis: Any) -> None:
+        """Draw it."""
+        for name, (x, y, what) in self.boxes.items():
+            box = {"boxstyle": "round,pad=0.02", "facecolor": "#e8eaf6", "edgecolor": OURS}
+            axis.add_patch(matplotlib.patches.FancyBboxPatch((x - 0.4, y - 0.26), 0.8, 0.52, **box))
+            axis.text(x, y + (0.14 if what else 0.0), name, ha="center", va="center", fontweight="bold", fontsize=9)
+            axis.text(x, y - 0.1, what, ha="center", va="center", fontsize=8.5)
+        for first, second, text, both in self.arrows:
+            (x, y, _), (to_x, to_y, _) = self.boxes[first], self.boxes[second]
+            wide, tall = abs(to_x - x), abs(to_y - y)
+            share = min(0.43 / max(wide, 1e-9), 0.29 / max(tall, 1e-9))  # to the edge of a box
+            begin, end = (
+                (x + share * (to_x - x), y + share * (to_y - y)),
+                (to_x - share * (to_x - x), to_y - share * (to_y - y)),
+            )
+            arrow = {"arrowstyle": "<|-|>" if both else "-|>", "color": OURS, "lw": 1.5, "shrinkA": 0, "shrinkB": 0}
+            axis.annotate("", end, begin, arrowprops=arrow)
+            middle, beside = ((x + to_x) / 2, (y + to_y) / 2), 0.05 if x == to_x else 0.0
+            box = {"facecolor": "white", "edgecolor": "none", "pad": 0.5}
+            side = "left" if x == to_x else "center"
+            axis.text(middle[0] + beside, middle[1], text, ha=side, va="center", fontsize=8.5, style="italic", bbox=box)
+        columns, rows = zip(*((x, y) for x, y, _ in self.boxes.values()), strict=True)
+        axis.set_xlim(min(columns) - 0.46, max(columns) + 0.46)
+        axis.set_ylim(min(rows) - 0.32, max(rows) + 0.32)
+        axis.set_axis_off()
 
 
-def architecture(axis: Any) -> None:
-    """Draw the loop of a policy period: four parts from left to right, and four back below them."""
-    half = len(LOOP) // 2
-    places = [(place, 1.0) for place in range(half)] + [(half - 1 - place, 0.0) for place in range(half)]
-    for (name, what), (x, y), (to_x, to_y) in zip(LOOP, places, places[1:] + places[:1], strict=True):
-        box = {"boxstyle": "round,pad=0.02", "facecolor": "#e8eaf6", "edgecolor": OURS}
-        axis.add_patch(matplotlib.patches.FancyBboxPatch((x - 0.4, y - 0.26), 0.8, 0.52, **box))
-        axis.text(x, y + (0.13 if what else 0.0), name, ha="center", va="center", fontweight="bold", fontsize=9)
-        axis.text(x, y - 0.1, what, ha="center", va="center", fontsize=8.5)
-        begin, end = (
-            (x + 0.43 * (to_x - x), y + 0.29 * (to_y - y)),
-            (to_x - 0.43 * (to_x - x), to_y - 0.29 * (to_y - y)),
-        )
-        axis.annotate("", end, begin, arrowprops={"arrowstyle": "-|>", "color": OURS, "lw": 1.5})
-    for x, y, text, side in ((0.04, 0.5, "observation", "left"), (2.96, 0.5, "released targets", "right")):
-        axis.text(x, y, text, ha=side, va="center", fontsize=8.5, style="italic")
-    axis.set_xlim(-0.46, half - 0.54)
-    axis.set_ylim(-0.32, 1.32)
-    axis.set_axis_off()
+DIAGRAMS = {
+    "architecture": Diagram(
+        {
+            "policy": (0, 1, ""),
+            "adapter": (1, 1, "targets of\none period"),
+            "leading": (2, 1, "along what\nis near"),
+            "safety gate": (3, 1, "releases\nor refuses"),
+            "cell": (3, 0, "waits for\nL ticks"),
+            "arms": (2, 0, "simulated\nor real"),
+            "CellState": (1, 0, "what a real cell\ncan measure"),
+            "task": (0, 0, "observes,\nevaluates"),
+        },
+        [
+            ("policy", "adapter", "", False),
+            ("adapter", "leading", "", False),
+            ("leading", "safety gate", "", False),
+            ("safety gate", "cell", "targets", False),
+            ("cell", "arms", "", False),
+            ("arms", "CellState", "", False),
+            ("CellState", "task", "", False),
+            ("task", "policy", "observation", False),
+        ],
+        (4.9, 2.3),
+    ),
+    "processes": Diagram(
+        {
+            "program": (0.6, 2, "policy, adapter,\ngate"),
+            "recorder": (2.6, 2, "both arms,\nall events"),
+            "left arm": (0, 1, "one target per\ncontrol period"),
+            "right arm": (1.2, 1, "one target per\ncontrol period"),
+            "supervisor": (2.6, 1, "speed, faults,\nstops"),
+            "left UR": (0, 0, "controller"),
+            "right UR": (1.2, 0, "controller"),
+        },
+        [
+            ("program", "recorder", "events", False),
+            ("program", "left arm", "targets", True),
+            ("program", "right arm", "states", True),
+            ("program", "supervisor", "speed, faults", True),
+            ("left arm", "left UR", "servoj", True),
+            ("right arm", "right UR", "servoj", True),
+            ("supervisor", "right UR", "both: stop", True),
+        ],
+        (4.9, 3.3),
+    ),
+    "emulated_cell": Diagram(
+        {
+            "clients": (0, 0, "any program"),
+            "sockets": (1, 0, "bytes in,\nbytes out"),
+            "Controller": (2, 0, "program,\nsafety, motion"),
+            "MujocoWorld": (3, 0, "the arms of\nMujocoCell"),
+        },
+        [
+            ("clients", "sockets", "", True),
+            ("sockets", "Controller", "", True),
+            ("Controller", "MujocoWorld", "", True),
+        ],
+        (4.9, 1.1),
+    ),
+}
+"""Drawings of the pages on the architecture."""
 
 
 PLOTS: dict[str, tuple[str, Callable[[Any, Rows], None]]] = {
@@ -186,9 +255,11 @@ def main() -> None:
         about = {"Date": None, "Source": digest(plot)}
         figure.savefig(DOCS / "images" / f"figure_{name}.svg", metadata=about)
         plt.close(figure)
-    figure, axis = plt.subplots(figsize=(4.9, 2.3), layout="constrained")
-    architecture(axis)
-    figure.savefig(DOCS / "images" / "figure_architecture.svg", metadata={"Date": None})
+    for name, diagram in DIAGRAMS.items():
+        figure, axis = plt.subplots(figsize=diagram.size, layout="constrained")
+        diagram.draw(axis)
+        figure.savefig(DOCS / "images" / f"figure_{name}.svg", metadata={"Date": None})
+        plt.close(figure)
 
 
 if __name__ == "__main__":

@@ -177,6 +177,11 @@ def levers_m(tools: tuple[Tool, Tool]) -> Array:
     return np.array([[0.0, 0.0, tool.tcp_m] for tool in tools])
 
 
+def tool_names() -> list[str]:
+    """Return the names of the tools of this package and of installed ones."""
+    return [*_OWN, *sorted({each.name for each in importlib.metadata.entry_points(group=GROUP)} - {*_OWN})]
+
+
 def tool_named(name: str) -> Tool:
     """Return the tool of a name: one of this package, or one that an installed package names in `GROUP`.
 
@@ -195,7 +200,7 @@ def tool_named(name: str) -> Tool:
         return tool
     installed = {each.name: each for each in importlib.metadata.entry_points(group=GROUP)}
     if name not in installed:
-        raise UnknownNameError("tool", str(name), (*_OWN, *sorted(installed)), "module:NAME of a Tool")
+        raise UnknownNameError("tool", str(name), tool_names(), "module:NAME of a Tool")
     entry = installed[name]
     try:
         found = entry.load()

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import inspect
+from collections.abc import Callable, Iterable
 
 import gymnasium as gym
 from rich.markup import escape
 from rich.table import Table
 
+from dual_ur10.assets.tool import Tool, tool_named, tool_names
 from dual_ur10.cli.options import console, print_whole
+from dual_ur10.errors import DualUR10Error
 from dual_ur10.ids import FAILED_ENTRY_POINTS, LEARNED_NAMES, TASKS, discover, load_object
 from dual_ur10.kinematics.robots import ROBOTS
 from dual_ur10.policies.baselines import BASELINES
@@ -16,8 +19,8 @@ from dual_ur10.policies.registry import names_for
 
 
 def list_environments() -> None:
-    """List environments (also of installed packages), policies, devices of operators and robots, with a line each."""
-    from dual_ur10.policies.operators.catalog import DEVICES
+    """List environments, policies, devices of operators, grippers and robots, also those of installed packages."""
+    from dual_ur10.policies.operators.catalog import installed
     from dual_ur10.policies.scripted.base import ScriptedPolicy
 
     discover()
@@ -34,21 +37,38 @@ def list_environments() -> None:
         except Exception as error:  # tasks of others may raise anything
             failed.append(f"{env_id} cannot be made: {error}")
     print_whole(table)
-    for text in failed:
-        console.print(f"[yellow]{escape(text)}[/]")
     policies = {"scripted": _summary(ScriptedPolicy), **LEARNED_NAMES}
     policies |= {name: _summary(kind) for name, kind in BASELINES.items()}
-    devices = {name: _summary(load_object(path, "the device")) for name, path in DEVICES.items()}
+    devices = _each(installed(), lambda name: _summary(load_object(installed()[name], "the device")), failed)
+    grippers = _each(tool_names(), lambda name: _of_tool(tool_named(name)), failed)
     robots = {
         name: f"{robot.title}: {robot.family}, reach {robot.reach_m:g} m, payload {robot.payload_kg:g} kg"
         for name, robot in ROBOTS.items()
     }
-    for title, rows in (("policy", policies), ("device", devices), ("robot", robots)):
+    groups = {"policy": policies, "device": devices, "gripper": grippers, "robot": robots}
+    for title, rows in groups.items():
         table = _table(title, (), "")
         for name, text in rows.items():
             table.add_row(f"[cyan]{name}[/]", f"[dim]{escape(text)}[/]")
         console.print()
         print_whole(table)
+    for text in failed:
+        console.print(f"[yellow]{escape(text)}[/]")
+
+
+def _each(names: Iterable[str], line: Callable[[str], str], failed: list[str]) -> dict[str, str]:
+    """Return a line for each name; those of packages that cannot be loaded are added to `failed`."""
+    found = {}
+    for name in names:
+        try:
+            found[name] = line(name)
+        except DualUR10Error as error:
+            failed.append(str(error))
+    return found
+
+
+def _of_tool(tool: Tool) -> str:
+    return f"{tool.title}: stroke {1e3 * tool.stroke_m:g} mm, up to {tool.force_n[1]:g} N, {tool.mass_kg:g} kg"
 
 
 def _table(first: str, numbers: tuple[str, ...], last: str) -> Table:

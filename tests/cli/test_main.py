@@ -21,6 +21,7 @@ import typer
 from rich.console import Console
 
 from dual_ur10 import ENV_IDS, __version__
+from dual_ur10.assets.tool import tool_names
 from dual_ur10.cli import options as cli_options
 from dual_ur10.envs.core.setup import load_task
 from dual_ur10.errors import MissingExtraError, SettingsError
@@ -71,14 +72,16 @@ def test_list_names_every_environment_with_its_sizes_and_its_task() -> None:
         assert below.strip() == (load_task(env_id).__doc__ or "").partition("\n")[0]
 
 
-def test_list_names_policies_devices_and_robots_with_a_line_of_each() -> None:
+def test_list_names_policies_devices_grippers_and_robots_with_a_line_of_each() -> None:
     lines = [line for line in run("list")[1].splitlines() if line]
-    for title, names in (("policy", [*NAMES, *BASELINES]), ("device", [*DEVICES]), ("robot", [*ROBOTS])):
+    groups = {"policy": [*NAMES, *BASELINES], "device": DEVICES, "gripper": tool_names(), "robot": ROBOTS}
+    for title, names in groups.items():
         begin = next(k for k, line in enumerate(lines) if line.split() == [title]) + 1
         rows = [line.split(maxsplit=1) for line in lines[begin : begin + len(names)]]
-        assert [name for name, _ in rows] == names
+        assert [name for name, _ in rows] == [*names]
         assert min(len(what.split()) for _, what in rows) >= 3
     assert "ur10     UR10: cb3, reach 1.3 m, payload 10 kg" in [line.rstrip() for line in lines]
+    assert "robotiq_2f85  Robotiq 2F-85: stroke 85 mm, up to 235 N, 0.925 kg" in [line.rstrip() for line in lines]
     assert any(line.split() == ["gamepad", "Gamepad", "for", "one", "hand."] for line in lines)
 
 

@@ -1,9 +1,10 @@
 import sys
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
-from dual_ur10.errors import CheckpointError, PolicyError, SettingsError, UnknownNameError
+from dual_ur10.errors import CheckpointError, DualUR10Error, PolicyError, SettingsError, UnknownNameError
 from dual_ur10.policies import evaluate, load, make, rollout
 from dual_ur10.policies.learned import checkpoint
 from dual_ur10.policies.registry import check_name, is_class, keywords_for
@@ -74,6 +75,40 @@ def test_a_class_of_ones_own_gets_the_arguments_that_it_takes(own):
 def test_what_is_no_policy_is_named(name, kind, text):
     with pytest.raises(kind, match=text):
         load(name, SINE)
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (
+            lambda env: load("SineTracking", "scripted"),
+            "'scripted' is no environment, and the policy 'SineTracking' is",
+        ),
+        (lambda env: make(SINE, "learned"), "'learned' is no environment"),
+        (lambda env: make("Handover", np.zeros), "function zeros> is no environment, and the policy 'Handover'"),
+        (lambda env: evaluate("random", "Handover-v0"), "'random' is no environment"),
+        (lambda env: evaluate(np.zeros, SINE), "exchange the two arguments"),
+        (lambda env: evaluate(env, "scripted"), 'the environment is <.*: pass its id, such as "Handover"'),
+        (
+            lambda env: rollout(np.zeros, env),
+            "the policy is an environment, OrderEnforcing: are two arguments exchanged",
+        ),
+        (lambda env: rollout(SINE, np.zeros), "pass one that gym.make has made"),
+        (lambda env: make("scripted", "Juggling"), "unknown environment 'Juggling': use one of"),
+        (
+            lambda env: make("scripted", "Free"),
+            "unknown policy of DualUR10/Free-v0 'scripted': use random or zero in comm",
+        ),
+    ],
+)
+def test_exchanged_and_unknown_arguments_are_named(call, text):
+    with gym.make(SINE) as env, pytest.raises(DualUR10Error, match=text):
+        call(env)
+
+
+def test_of_equally_near_names_the_first_is_meant():
+    with pytest.raises(UnknownNameError, match=r"'ur11' \(did you mean 'ur10'\?\)"):
+        make("zero", SINE, robot="ur11")
 
 
 def test_names_and_paths_are_no_classes(tmp_path, monkeypatch):

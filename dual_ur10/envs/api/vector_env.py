@@ -70,7 +70,10 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
         self.num_envs, self.render_mode = num_envs, render_mode
         self.autoreset_mode, self._max_steps = AutoresetMode(autoreset_mode), max_episode_steps
         autoreset = self.autoreset_mode != AutoresetMode.DISABLED
-        self.core = Core(task, keywords, n=num_envs, threads=threads, autoreset=autoreset)
+        try:
+            self.core = Core(task, keywords, n=num_envs, threads=threads, autoreset=autoreset)
+        except MemoryError as error:
+            raise SettingsError(f"num_envs is {num_envs}, too many for the memory: {error}. Use fewer") from error
         try:
             self._observer = Observer(self.core)
         except BaseException:

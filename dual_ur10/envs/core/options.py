@@ -141,7 +141,9 @@ class EnvOptions:
             raise SettingsError(f"confirm is {self.confirm!r}: it must be a function that is given a text, or None")
         if self.arm is not None and self.arm not in ARMS:
             raise UnknownNameError("arm", str(self.arm), [*ARMS, "None"])
-        if self.record is not None and not isinstance(self.record, str | os.PathLike):
+        if self.record is not None and (
+            not isinstance(self.record, str | os.PathLike) or "\0" in os.fsdecode(self.record)
+        ):
             raise SettingsError(f"record is {self.record!r}: it must be the path of a folder, or None")
         if self.record_failure not in ("go on", "stop"):
             raise UnknownNameError("record_failure", str(self.record_failure), ["go on", "stop"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import dataclasses
+import importlib.metadata
 import inspect
 import re
 import sys
@@ -31,7 +32,10 @@ DEVICES: Final = {
     "leader": f"{_HERE}.leader:Leader",
     "page": f"{_HERE}.page:page_device",
 }
-"""Classes of devices, or functions that make them, "module:Class", by name."""
+"""Classes of devices of this package, or functions that make them, "module:Class", by name."""
+
+GROUP: Final = "dual_ur10.devices"
+"""Entry-point group of installed packages: name of a device, and where its class is."""
 
 _EXTRAS: Final = {
     "gamepad": ("teleop", "a gamepad"),
@@ -56,10 +60,19 @@ def device_class(text: str) -> tuple[str, str]:
     name, _, rest = text.partition(":")
     if name in DEVICES:
         return DEVICES[name], rest
+    devices = installed()
+    if name in devices:
+        return devices[name], rest
     own = _OWN.fullmatch(text)
     if own is None:
-        raise UnknownNameError("operator", text, tuple(DEVICES), "module:Class of a device of your own")
+        raise UnknownNameError("operator", text, tuple(devices), "module:Class of a device of your own")
     return own[1], own[2] or ""
+
+
+def installed() -> dict[str, str]:
+    """Return the devices of this package and of installed ones, "module:Class", by name."""
+    found = {each.name: each.value for each in importlib.metadata.entry_points(group=GROUP)}
+    return {**DEVICES, **{name: path for name, path in found.items() if name not in DEVICES}}
 
 
 def extra_of(text: str) -> tuple[str, str] | None:
@@ -127,7 +140,7 @@ def make_device(text: str, setup: EnvSetup | None = None, buttons: Sequence[str]
         MissingExtraError: It needs a package that is not installed.
     """
     path, rest = device_class(text)
-    factory = load_object(path, "the operator's device", registered=path in DEVICES.values())
+    factory = load_object(path, "the operator's device", registered=path in installed().values())
     given = arguments_in(rest)
     mapping = Mapping(**{name: given.pop(name) for name in _OF_MAPPING if name in given})
     try:

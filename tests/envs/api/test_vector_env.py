@@ -233,6 +233,8 @@ def test_scripted_policy_on_a_batch():
     ("keywords", "error", "text"),
     [
         ({"num_envs": 0}, errors.SettingsError, "num_envs"),
+        ({"num_envs": 10**12}, errors.SettingsError, "num_envs is 1000000000000, too many for the memory: "),
+        ({"record": "a\0b"}, errors.SettingsError, "record is 'a\\x00b': it must be the path of a folder"),
         ({"autoreset_mode": "Never"}, errors.UnknownNameError, "NextStep"),
         ({"max_episode_steps": 0}, errors.SettingsError, "max_episode_steps"),
         ({"render_mode": "human"}, errors.UnknownNameError, "rgb_array"),

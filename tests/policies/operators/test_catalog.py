@@ -4,6 +4,7 @@ import os
 import pty
 import sys
 import termios
+from importlib.metadata import EntryPoint
 
 import numpy as np
 import pytest
@@ -27,6 +28,15 @@ def test_names_and_classes_are_told_apart():
     assert device_class("my.module:Wheel:gain=2,name=a:b") == ("my.module:Wheel", "gain=2,name=a:b")
     with pytest.raises(UnknownNameError, match="did you mean 'spacemouse'"):
         device_class("spacemous")
+
+
+def test_an_installed_package_brings_devices_by_name(monkeypatch):
+    found = [EntryPoint(name, "my_lab.wheel:Wheel", "dual_ur10.devices") for name in ("wheel", "keyboard")]
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: found)
+    assert device_class("wheel:gain=2") == ("my_lab.wheel:Wheel", "gain=2")
+    assert device_class("keyboard") == (DEVICES["keyboard"], "")  # none takes the name of another
+    with pytest.raises(SettingsError, match=r"the operator's device, 'my_lab.wheel:Wheel', cannot be imported"):
+        make_device("wheel")
 
 
 def test_every_button_of_a_device_is_known_by_one_name():

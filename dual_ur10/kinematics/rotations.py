@@ -65,7 +65,7 @@ def _float(values: ArrayLike) -> Array:
 def _times(outer: Array, table: Array) -> Array:
     """Multiply outer products, (..., i, j), as rows, (..., i * j), with a table, (i * j, k)."""
     # One product per row: BLAS rounds the rows of one large product by their position in it.
-    product: Array = outer.reshape(*outer.shape[:-2], 1, -1) @ table
+    product: Array = outer.reshape(*outer.shape[:-2], 1, len(table)) @ table
     return product[..., 0, :]
 
 

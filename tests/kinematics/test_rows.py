@@ -71,3 +71,10 @@ def test_a_row_does_not_depend_on_the_others(name, n, first, seed, transposed):
     together, alone = function(*arguments), function(*[part(each, rows) for each in arguments])
     for one, other in zip(*(each if isinstance(each, tuple) else (each,) for each in (together, alone)), strict=True):
         assert one[rows].tobytes() == other.tobytes()
+
+
+@pytest.mark.parametrize("name", _FUNCTIONS)
+def test_no_rows_give_no_rows(name):
+    function, kinds = _FUNCTIONS[name]
+    found = function(*[sampled(kind, 0, np.random.default_rng(0), False) for kind in kinds])
+    assert all(len(each) == 0 for each in (found if isinstance(found, tuple) else (found,)))

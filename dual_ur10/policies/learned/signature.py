@@ -166,7 +166,9 @@ class EnvironmentSignature(StrictJson):
         env_id: Id of the environment.
         kwargs: Keywords of the task and of `OPTIONS` that differ from their defaults.
         view: "state", all numbers of the task, or "goals", its concise view.
-        observation, action: Spaces of both arms together.
+        observation: Space of the view of both arms together, in its own precision: single for "goals", double for
+            "state". Networks compute in single precision, so that no policy depends on `observation_dtype`.
+        action: Space of the actions of both arms together.
         rate: Timing of actions.
         actions: Meaning of actions.
         robot: Arms and their controllers.

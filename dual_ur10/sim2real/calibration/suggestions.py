@@ -16,7 +16,8 @@ import numpy as np
 from dual_ur10.errors import CalibrationError
 from dual_ur10.kinematics.frames import BASE_TO_BASE_LINK
 from dual_ur10.kinematics.inverse import try_nearest
-from dual_ur10.kinematics.ur10 import DH_D_M, REACH_M, DHParameters
+from dual_ur10.kinematics.robots import robot_model
+from dual_ur10.kinematics.ur10 import REACH_M, DHParameters
 from dual_ur10.sim2real.calibration.directions import SCALES
 from dual_ur10.sim2real.calibration.equations import Equations
 from dual_ur10.sim2real.calibration.estimate import BaseEstimate
@@ -27,12 +28,13 @@ from dual_ur10.types import Array, Vector3
 PRIOR_M: Final = 0.1
 """Standard deviation of the base before any observation, m and rad times `LEVER_M`."""
 
+# Of arms of the UR10's reach; those of others in proportion.
 _GRID_M: Final = 0.1
-_FRONT_M: Final = 0.2  # least distance of points in front of both bases
 _NEAR_M: Final = 0.35  # least horizontal distance from a base
-_SHOULDER_M: Final = np.array([0.0, 0.0, DH_D_M[0]])
-_FAR_M: Final = 1.1  # flange from shoulder, of 1.18 m with a wrist across: bases may stand otherwise than thought
-_HEIGHTS_M: Final = (0.1, 1.0)  # above both bases
+_HIGH_M: Final = 1.0  # largest height above both bases
+_FRONT_M: Final = 0.2  # least distance of points in front of both bases
+_LOW_M: Final = 0.1  # least height above both bases
+_FAR: Final = 0.929  # flange from shoulder, of upper arm and forearm: bases may stand otherwise than thought
 _BAR_RAD: Final = (0.45, 0.9)  # about one axis
 _BAR_CORNER_RAD: Final = 0.6  # about each of three axes at once
 _BAR_M: Final = 0.15
@@ -58,18 +60,25 @@ class Suggestion:
 def touch_candidates(dh: tuple[DHParameters, DHParameters], base: Array, tcp_m: tuple[Vector3, Vector3]) -> list[Touch]:
     """Return touches on a grid in front of both bases that both arms reach with tools from opposite sides.
 
+    The grid is that of the arm with the smaller reach.
+
     Args:
         dh: Kinematics of the left and the right arm.
         base: (4, 4) pose of the right base in the left one.
         tcp_m: Tool centre points in the flange frames.
     """
-    steps = np.arange(-REACH_M, REACH_M + _GRID_M / 2, _GRID_M)
-    flat = np.stack(np.meshgrid(steps, steps, np.arange(*_HEIGHTS_M, _GRID_M), indexing="ij"), axis=-1).reshape(-1, 3)
+    models = [robot_model(each.robot) for each in dh]
+    reach_m = min(model.reach_m for model in models)
+    scale = reach_m / REACH_M
+    grid_m = _GRID_M * scale
+    steps = np.arange(-reach_m, reach_m + grid_m / 2, grid_m)
+    heights = np.arange(_LOW_M, _HIGH_M * scale, grid_m)
+    flat = np.stack(np.meshgrid(steps, steps, heights, indexing="ij"), axis=-1).reshape(-1, 3)
     back = inverse_of(base)
     others = flat @ back[:3, :3].T + back[:3, 3]
     ahead = [(each @ BASE_TO_BASE_LINK)[:, 0] > _FRONT_M for each in (flat, others)]
-    near = [np.linalg.norm(each[:, :2], axis=1) > _NEAR_M for each in (flat, others)]
-    points = flat[ahead[0] & ahead[1] & near[0] & near[1] & (others[:, 2] > _HEIGHTS_M[0] / 2)]
+    near = [np.linalg.norm(each[:, :2], axis=1) > _NEAR_M * scale for each in (flat, others)]
+    points = flat[ahead[0] & ahead[1] & near[0] & near[1] & (others[:, 2] > _LOW_M / 2)]
     across = base[:3, 3] * [1.0, 1.0, 0.0]
     across = across / max(float(np.linalg.norm(across)), 1e-9)
     found: dict[int, Touch] = {}
@@ -83,7 +92,8 @@ def touch_candidates(dh: tuple[DHParameters, DHParameters], base: Array, tcp_m: 
             reference[:, 0] = np.arctan2(-at[:, 1], -at[:, 0])
             q, reached = try_nearest(at, np.tile(tool, (len(todo), 1, 1)), reference, dh[arm])
             joints.append(q)
-            good &= reached & (np.linalg.norm(at - _SHOULDER_M, axis=1) < _FAR_M)
+            far_m = -_FAR * sum(models[arm].a_m)
+            good &= reached & (np.linalg.norm(at - [0.0, 0.0, models[arm].d_m[0]], axis=1) < far_m)
         for k in np.flatnonzero(good):
             left, right = (tuple(each[k].tolist()) for each in joints)
             found[int(todo[k])] = Touch(left, right, *tcp_m)

@@ -123,6 +123,12 @@ def _model(name: str, arm: ArmEntry) -> Iterator[str]:
             f"{name}.model is {arm.robot!r} and {name}.family is {arm.family!r}: the controller of a {facts.title} is "
             f"of the family {facts.family!r}. Correct one of them"
         )
+    slowest = float(facts.hard_speed_rad_s.min())
+    if (arm.limits.speed_rad_s or 0.0) > slowest:
+        yield (
+            f"{name}.limits.speed_rad_s is {arm.limits.speed_rad_s:g}: the hard limit of the slowest joint of a "
+            f"{facts.title} is {slowest:g} rad/s. Correct it, or the model; without the key the hard limits hold"
+        )
     if (arm.payload_kg or 0.0) > facts.payload_kg:
         yield (
             f"{name}.payload_kg is {arm.payload_kg:g}: a {facts.title} may carry 0 to {facts.payload_kg:g} kg. "

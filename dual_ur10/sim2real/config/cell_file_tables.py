@@ -256,9 +256,9 @@ class ArmLimits(Table):
         "joint speed",
         None,
         low=0.01,
-        high=float(ur10.HARD_SPEED_RAD_S.min()),
-        note=f"{_LIMIT} of joints 1 and 2; that of the others is {ur10.HARD_SPEED_RAD_S.max():g} and holds if the key "
-        "is missing",
+        high=max(float(model.hard_speed_rad_s.min()) for model in ROBOTS.values()),
+        note=f"{_LIMIT} of the model's slowest joint, {ur10.HARD_SPEED_RAD_S.min():g} of a UR10; those of the joints "
+        "hold if the key is missing",
         example=0.5,
     )
     acceleration_rad_s2: float | None = key(

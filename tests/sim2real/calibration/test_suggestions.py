@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from dual_ur10.errors import CalibrationError
+from dual_ur10.kinematics.robots import robot_model
+from dual_ur10.kinematics.ur10 import nominal_dh
 from dual_ur10.sim2real.calibration.estimate import estimate
 from dual_ur10.sim2real.calibration.suggestions import bar_candidates, best, plan, touch_candidates
 from dual_ur10.sim2real.calibration.transforms import flange, transform
@@ -18,6 +20,17 @@ def test_candidates_are_points_that_both_tips_reach():
         np.testing.assert_allclose(left, right, atol=1e-6)
         assert left[0] < 0.0  # in front of the base, which is -x of `base`
         assert left[2] > 0.05
+
+
+@pytest.mark.parametrize(("model", "least"), [("ur3e", 200), ("ur5e", 400), ("ur20", 400)])
+def test_candidates_fill_the_reach_of_the_model(model, least):
+    dh, base = (nominal_dh(model),) * 2, NEAR.copy()
+    reach_m = robot_model(model).reach_m
+    base[:3, 3] *= reach_m / robot_model("ur10").reach_m
+    found = touch_candidates(dh, base, (TIP_M, TIP_M))
+    assert len(found) > least
+    flanges = flange([each.left_q_rad for each in found], dh[0])
+    assert np.linalg.norm(flanges[:, :3, 3], axis=1).max() > 0.8 * reach_m
 
 
 def test_planned_touches_are_better_than_random_ones():

@@ -309,6 +309,9 @@ def arm_tables(draw: st.DrawFn, real: bool, side: float, host: str) -> dict[str,
     for name in ("limits", "measured"):
         if draw(st.booleans()):
             values[name] = draw(table_of(f"ARM.{name}.", real))
+    if "speed_rad_s" in (limits := values.get("limits", {})):
+        slowest = float(ROBOTS[values["model"]].hard_speed_rad_s.min())
+        limits["speed_rad_s"] = min(limits["speed_rad_s"], slowest)
     if draw(st.booleans()):
         lookahead = draw(st.floats(0.03, 0.2))
         gain = draw(st.floats(min(2000.0, max(100.0, 1.001 * (0.6 / lookahead) ** 2)), 2000.0))
@@ -439,7 +442,8 @@ REFUSED: list[tuple[dict[str, Any], tuple[str, ...]]] = [
     ({"left__gripper": {"kind": "robotiq", "port": 65536}}, ("left.gripper.port is 65536",)),
     ({"left__gripper": {"kind": "digital_output", "output": 18}}, ("left.gripper.output is 18", "0 to 17")),
     # Only tighter than the hard limits.
-    ({"left__limits__speed_rad_s": 1.69}, ("left.limits.speed_rad_s is 1.69", "0.01 to 1.68", "hard limit", "2.51")),
+    ({"left__limits__speed_rad_s": 1.69}, ("left.limits.speed_rad_s is 1.69", "of a UR10 is 1.68 rad/s")),
+    ({"left__limits__speed_rad_s": 3.0}, ("left.limits.speed_rad_s is 3", "0.01 to 2.51", "hard limit of the model's")),
     ({"left__limits__acceleration_rad_s2": 10.1}, ("left.limits.acceleration_rad_s2 is 10.1", "to 10", "hard limit")),
     ({"left__limits__jerk_rad_s3": 2001}, ("left.limits.jerk_rad_s3 is 2001", "to 2000", "hard limit")),
     ({"right__limits__tcp_speed_m_s": 1.6}, ("right.limits.tcp_speed_m_s is 1.6", "to 1.5", "hard limit")),

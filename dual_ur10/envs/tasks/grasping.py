@@ -1,4 +1,7 @@
-"""Base of staged tasks whose arms grip props: measurement of the grasps, observations and starts at home."""
+"""Base of staged tasks whose arms grip props: measurement of the grasps, observations and starts at home.
+
+Observations lead each tool to its grip; the base knows no later goals of the task.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +10,13 @@ from typing import Any, ClassVar, Generic, NamedTuple
 
 import numpy as np
 
-from dual_ur10.envs.tasks.geometry import Grasped, Grasps, required
+from dual_ur10.assets.prop_part import PropPart
+from dual_ur10.assets.tool import strokes_m
+from dual_ur10.envs.tasks.geometry import KEEP, Goal, GoalSteps, Grasped, Grasps, required
+from dual_ur10.envs.tasks.goal_fields import GOAL_FIELDS, goal_values, gripper_values
 from dual_ur10.envs.tasks.observation_layout import (
     ARM_FIELDS,
+    Field,
     ObservationLayout,
     arm_values,
     gripper_field,
@@ -32,56 +39,79 @@ class Grip(NamedTuple):
 
     Attributes:
         prop: Name of the prop.
-        tool: Pose of the tool in the frame of the prop, (3,) and (4,).
+        tool: Pose of the tool in the frame of the prop, or of its body, (3,) and (4,).
         width_m: Width of the prop between the fingers.
+        body: Name of a body of the prop that its joints move, such as a lid; "": the prop itself.
     """
 
     prop: str
     tool: Poses
     width_m: float
+    body: str = ""
 
 
 class GraspingTask(StagedTask[SettingsT, Grasped, NowT], Generic[SettingsT, NowT]):
     """Staged task in which each arm grips a prop, both the same one or each its own.
 
-    It measures with `Grasps`, so that `facts` gets a `Grasped`. The observation of an arm has the fields of every task,
-    the width of its gripper, the wrench of the object on it, and the pose of each observed prop in its own `base`
-    frame, in the fields `<prop>_base_m` and `<prop>_base_quat`. The settings have a `duration_s`.
+    It measures with `Grasps`, so that `facts` gets a `Grasped`, whose frames are those of the observed props, then
+    those of bodies that are gripped. The observation of an arm has the fields of every task, the width of its gripper,
+    the wrench of the object on it, the pose of each observed prop in its own `base` frame, in the fields
+    `<prop>_base_m` and `<prop>_base_quat`, the fields of `further`, and those that lead its tool to its grip,
+    `dual_ur10.envs.tasks.goal_fields.GOAL_FIELDS`. `observation="goals"` shows the poses, and what leads to the grips.
+    The settings have a `duration_s`.
 
     Attributes:
         grips: Grips of the left and the right arm.
-        observed: Names of the props in the observation, those of the grips among them.
+        observed: Names of the props in the observation, those of grips without a `body` among them.
+        further: Further fields of an observation, with the values of `further_values`.
 
     Raises:
-        SettingsError: The prop of a grip is not observed.
+        SettingsError: The prop of a grip is not observed, or not in the scene.
+        UnknownNameError: A prop has no such body.
     """
 
     grips: ClassVar[tuple[Grip, Grip]]
     observed: ClassVar[tuple[str, ...]]
+    further: ClassVar[tuple[Field, ...]] = ()
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         """Make the layout from the observed props, unless the class states one."""
         super().__init_subclass__(**keywords)
         if "observed" in vars(cls) and "layout" not in vars(cls):
-            poses = [field for name in cls.observed for field in pose_fields(f"{name}_base", f"the {name}")]
-            cls.layout = ObservationLayout(*ARM_FIELDS, gripper_field(), *wrench_fields("object"), *poses)
+            poses = [
+                field for name in cls.observed for field in pose_fields(f"{name}_base", f"the {name}", concise=True)
+            ]
+            known = *ARM_FIELDS, gripper_field(), *wrench_fields("object"), *poses, *cls.further
+            cls.layout = ObservationLayout(*known, *GOAL_FIELDS)
 
     def __init__(self, settings: SettingsT, cell: CellConfig, timing: Timing, n: int) -> None:
         super().__init__(settings, cell, timing, n, settings.duration_s)  # type: ignore[attr-defined]
         left, right = self.grips
-        if missing := {left.prop, right.prop} - {*self.observed}:
+        if missing := {grip.prop for grip in self.grips if not grip.body} - {*self.observed}:
             raise SettingsError(
                 f"{type(self).__name__} grips {', '.join(sorted(missing))}, but observes {', '.join(self.observed)}: "
                 "name the props of all grips in `observed`"
             )
+        mounts, tools = (cell.left, cell.right), cell.equipment.tools
+        self._parts = [_part_of(grip, cell) for grip in self.grips if grip.body]
+        parts = iter(range(len(self.observed), len(self.observed) + len(self._parts)))
+        first, second = (next(parts) if grip.body else self.observed.index(grip.prop) for grip in self.grips)
+        frames = len(self.observed) + len(self._parts)
         self._grasps = Grasps(
-            Frames((cell.left, cell.right)),
+            Frames(mounts),
             np.tile(np.stack([left.tool.position_m, right.tool.position_m]), (n, 1, 1)),
             (left.width_m, right.width_m),
-            len(self.observed),
-            (self.observed.index(left.prop), self.observed.index(right.prop)),
-            cell.equipment.tools,
+            frames,
+            (first, second),
+            tools,
         )
+        self._strokes_m = np.array(strokes_m(tools))[:, None]
+        goals = [
+            Goal(frame, grip.tool, approached=True) for frame, grip in zip((first, second), self.grips, strict=True)
+        ]
+        self._to_grips: GoalSteps | None = None
+        if any(field in self.layout.fields for field in GOAL_FIELDS):
+            self._to_grips = GoalSteps(n, frames, goals, mounts, tcp_m=[tool.tcp_m for tool in tools])
 
     def start_at_home(self, rows: Rows, objects: Mapping[str, Array]) -> Start:
         """Begin episodes in `rows` with both arms at home and open grippers, and return their starts.
@@ -95,7 +125,9 @@ class GraspingTask(StagedTask[SettingsT, Grasped, NowT], Generic[SettingsT, NowT
 
     def measure(self, state: CellState) -> Grasped:
         """Measure both grasps, and the observed props."""
-        poses = np.concatenate([part for name in self.observed for part in state.objects[name]], axis=1)
+        found = [state.objects[name] for name in self.observed]
+        found += [part(self.n, state.objects, state.joints) for part in self._parts]
+        poses = np.concatenate([array for pose in found for array in pose], axis=1)
         flanges = Poses(state.flange_m, required(state.flange_quat))
         return self._grasps(flanges, required(state.gripper_m), poses.reshape(self.n, -1, 7))
 
@@ -105,4 +137,29 @@ class GraspingTask(StagedTask[SettingsT, Grasped, NowT], Generic[SettingsT, NowT
         values["gripper_m"] = required(state.gripper_m)[..., None]
         for k, name in enumerate(self.observed):
             values |= pose_values(f"{name}_base", measured.in_bases[:, :, k])
+        if self._to_grips is not None:
+            values |= self._goal_values(self._to_grips, measured, commanded_q_rad, values["gripper_m"])
+        values.update(self.further_values(state, measured))
         return self.layout.join(values)
+
+    def further_values(self, state: CellState, measured: Grasped) -> Mapping[str, Array]:
+        """Return the values of the `further` fields, (n, 2, size) each."""
+        return {}
+
+    def _goal_values(
+        self, steps: GoalSteps, measured: Grasped, commanded_q_rad: Array, gripper_m: Array
+    ) -> dict[str, Array]:
+        """Return the values of the fields that lead the commanded tools to their grips."""
+        steps.actual[...] = measured.tools
+        found = steps(commanded_q_rad, measured.frames)
+        # Fingers close where the tool has arrived; those that have begun to go on at a larger error.
+        within = np.where(measured.between & (measured.cleared < 1.0), KEEP, 1.0)
+        closes = gripper_values(measured.between, found.away < within, gripper_m, self._strokes_m)
+        return {**goal_values(found, steps.nearby), **closes}
+
+
+def _part_of(grip: Grip, cell: CellConfig) -> PropPart:
+    for prop in cell.equipment.props:
+        if prop.name == grip.prop:
+            return PropPart(prop, grip.body)
+    raise SettingsError(f"a grip is of the prop {grip.prop!r}, and the scene has none of that name")

@@ -232,12 +232,18 @@ def pose_values(name: str, pose: Array) -> dict[str, Array]:
     return {f"{name}_m": pose[..., :3], f"{name}_quat": pose[..., 3:]}
 
 
-def pose_fields(name: str, thing: str, mujoco: str = "-", bound_m: float = 10.0) -> tuple[Field, Field]:
-    """Return the fields `<name>_m` and `<name>_quat` of the pose of a thing."""
+def pose_fields(
+    name: str, thing: str, mujoco: str = "-", bound_m: float = 10.0, *, concise: bool = False
+) -> tuple[Field, Field]:
+    """Return the fields `<name>_m` and `<name>_quat` of the pose of a thing, in the concise view or not."""
+    near, turn = _NEAR_POSE if concise else ((), ())
     return (
-        Field(f"{name}_m", 3, -bound_m, bound_m, "position (m)", f"position of {thing}", mujoco),
-        Field(f"{name}_quat", 4, -1.01, 1.01, "quaternion", f"orientation of {thing}", mujoco),
+        Field(f"{name}_m", 3, -bound_m, bound_m, "position (m)", f"position of {thing}", mujoco, near),
+        Field(f"{name}_quat", 4, -1.01, 1.01, "quaternion", f"orientation of {thing}", mujoco, turn),
     )
+
+
+_NEAR_POSE: Final = (0.2,), (0.5,)  # units of the concise view, m and of a quaternion
 
 
 _JOINTS: Final = "{arm}/shoulder_pan_joint ... {arm}/wrist_3_joint"

@@ -51,6 +51,17 @@ def test_rows_of_a_vector_are_single_environments(env_id):
 
 
 @both
+def test_a_stock_learner_trains_on_the_concise_view(env_id):
+    learners = pytest.importorskip("stable_baselines3")
+    from dual_ur10.envs.api.sb3_bridge import JointVecEnv
+
+    env = JointVecEnv(env_id, 2, observation="goals", action_scale=0.5, max_episode_steps=100)
+    learners.PPO("MlpPolicy", env, n_steps=4, batch_size=8, n_epochs=1).learn(16)
+    assert env.observation_space.contains(env.reset()[0])
+    env.close()
+
+
+@both
 def test_pettingzoo(env_id):
     parallel_api_test(parallel_env(env_id, duration_s=0.2), num_cycles=10)
 

@@ -5,18 +5,30 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from dual_ur10.assets.prop import Prop
 from dual_ur10.assets.settings import Equipment, home_q_rad
+from dual_ur10.envs.core.core import Core
+from dual_ur10.envs.tasks.geometry import APPROACH_M
+from dual_ur10.envs.tasks.goal_fields import GOAL_FIELDS
 from dual_ur10.envs.tasks.grasping import GraspingTask, Grip
-from dual_ur10.envs.tasks.observation_layout import ARM_FIELDS, ObservationLayout
+from dual_ur10.envs.tasks.observation_layout import ARM_FIELDS, Field, ObservationLayout
 from dual_ur10.envs.tasks.staged import stage
-from dual_ur10.envs.tasks.task import Timing
+from dual_ur10.envs.tasks.task import SceneRequirements, Timing
 from dual_ur10.errors import SettingsError
+from dual_ur10.kinematics.forward import flange_pose_quat
 from dual_ur10.kinematics.frames import Frames
 from dual_ur10.kinematics.poses import Poses, compose, pose, relative_to
+from dual_ur10.registration import register
 from dual_ur10.sim2real.config.cell import CellConfig, CellState
 from dual_ur10.sim2real.control.limits import MotionLimits
 
 N = 2
+CASE = Prop(
+    name="case",
+    mjcf="""<mujoco><compiler angle="degree"/><worldbody><body mocap="true"><geom type="box" size=".1 .1 .02"/>
+    <body name="lid" pos="-.1 0 .03"><joint name="lid" axis="0 -1 0" range="0 90" damping="5"/>
+    <geom type="box" size=".1 .1 .005" pos=".1 0 0" mass="0.2"/></body></body></worldbody></mujoco>""",
+)
 RNG = np.random.default_rng(1)
 
 
@@ -88,6 +100,7 @@ def test_observed_props_are_fields_unless_the_class_states_a_layout():
     assert Two.layout.names[len(ARM_FIELDS) :] == (
         *("gripper_m", "force_n", "torque_nm", "mark_base_m", "mark_base_quat"),
         *("cup_base_m", "cup_base_quat", "lid_base_m", "lid_base_quat"),
+        *(field.name for field in GOAL_FIELDS),
     )
     assert Plain.layout.names == tuple(field.name for field in ARM_FIELDS)
 
@@ -110,6 +123,62 @@ def test_each_arm_holds_its_own_prop_and_sees_all():
         there = Poses(*(np.repeat(part[:, None], 2, axis=1) for part in objects[name]))
         expected = relative_to(Poses(state.flange_m, state.flange_quat), there)
         np.testing.assert_allclose(seen.position_m, expected.position_m, atol=1e-9)
+
+
+def test_observations_lead_each_tool_to_its_grip():
+    task, objects = made(), {name: random_poses(N) for name in Two.observed}
+    tools = random_poses(N, 2)
+    state = state_of(task, objects, tools, np.full((N, 2), 0.08))
+    commanded_q_rad = np.tile(home_q_rad((task.cell.left, task.cell.right)), (N, 1, 1))
+    measured = task.measure(state)
+    fields = task.layout.split(task.observe(state, measured, commanded_q_rad))
+    frames = Frames((task.cell.left, task.cell.right))
+    for arm, (grip, mount) in enumerate(zip(Two.grips, (task.cell.left, task.cell.right), strict=True)):
+        at_m, quat = flange_pose_quat(commanded_q_rad[:, arm], mount.dh)
+        both = Poses(np.repeat(at_m[:, None], 2, axis=1), np.repeat(quat[:, None], 2, axis=1))
+        flange = Poses(frames.position_to_cell(both.position_m)[:, arm], frames.quat_to_cell(both.quat)[:, arm])
+        commanded = compose(flange, pose((0.0, 0.0, task.cell.equipment.tools[arm].tcp_m)))
+        goal = compose(objects[grip.prop], grip.tool)
+        behind = relative_to(goal, Poses(commanded.position_m + fields["goal_step_m"][:, arm], goal.quat)).position_m
+        # The step leads to the grip, or to a point at most an approach behind it.
+        np.testing.assert_allclose(behind[:, :2], 0.0, atol=1e-9)
+        assert ((behind[:, 2] <= 1e-9) & (behind[:, 2] >= -APPROACH_M - 1e-9)).all()
+    assert fields["goal_opening"].all()  # far from its grip a gripper opens
+
+
+class Hinged(Two):
+    """The left arm grips the lid of a case, the right one the case."""
+
+    settings_type = Brief
+    observed = ("case",)
+    further = (Field("lid_rad", 1, -4.0, 4.0, "angle (rad)", "angle of the lid", concise=(0.5,)),)
+    grips = (
+        Grip("case", pose((-0.1, 0.0, 0.0)), 0.01, body="lid"),
+        Grip("case", pose((0.0, 0.1, 0.0)), 0.02),
+    )
+
+    @classmethod
+    def requirements(cls, settings):
+        return SceneRequirements(Equipment(grippers=True, props=(CASE,)))
+
+    def start(self, rows, rngs):
+        case = np.tile([0.1, 0.3, 0.02, 0.8, 0.0, 0.0, 0.6], (len(rows), 1))
+        return self.start_at_home(rows, {"case": case})._replace(joints={"lid": np.full(len(rows), 0.5)})
+
+    def further_values(self, state, measured):
+        return {"lid_rad": np.repeat(state.joints["lid"][:, None, None], 2, axis=1)}
+
+
+def test_a_moving_part_of_a_prop_is_gripped(registries):
+    register("Lab/Hinged-v0")(Hinged)
+    core = Core("Lab/Hinged-v0", {"observation": "goals"}, n=N)
+    core.reset([np.random.default_rng(row) for row in range(N)])
+    core.step(np.zeros((N, 14)))
+    _, data = core.cell_data(1)
+    lid, measured = data.body("case/lid"), core.task.measure(core._state)
+    np.testing.assert_allclose(measured.frames[1, 1], [*lid.xpos, *lid.xmat.ravel()], atol=1e-9)
+    assert core.observation_space.contains(core.agents.joint.reshape(-1)[: core.observation_space.shape[0]])
+    assert "lid_rad" in core.task.concise_view().layout.names
 
 
 def test_a_start_at_home_has_open_grippers_and_forgets_the_stages():

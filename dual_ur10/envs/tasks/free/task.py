@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import ClassVar, Final
+from typing import ClassVar
 
 import numpy as np
 
@@ -33,16 +33,14 @@ from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.types import Array, Rows
 
-_NEAR: Final = {1: 0.05, 3: 0.2, 4: 0.5}  # units of the concise view: m of a width, m of a position, of a quaternion
-
 
 def _fields(props: Sequence[Prop]) -> list[Field]:
     """Return the fields of the poses of those props whose poses are not fixed."""
     return [
-        replace(field, concise=(_NEAR[field.size],))
+        field
         for each in props
         if each.posed
-        for field in pose_fields(f"{each.name}_base", f"the {each.name}", each.body)
+        for field in pose_fields(f"{each.name}_base", f"the {each.name}", each.body, concise=True)
     ]
 
 
@@ -159,7 +157,7 @@ class Free(Task[FreeSettings, Poses]):
     settings_type: ClassVar[type[FreeSettings]] = FreeSettings
     layout: ObservationLayout = ObservationLayout(
         *ARM_FIELDS,
-        replace(gripper_field(), concise=(_NEAR[1],)),
+        replace(gripper_field(), concise=(0.05,)),
         *wrench_fields("object"),
         *_fields([BLOCK]),
         *OTHER_FLANGE_FIELDS,

@@ -1,7 +1,7 @@
 // From actions to servoj targets; see `dual_ur10.sim2real.control.adapter`.
 #pragma once
 
-#include "envelope.hpp"
+#include "stopping.hpp"
 
 namespace {
 
@@ -15,6 +15,13 @@ constexpr int TRIES = 4;  // to find a fraction within the Cartesian speed limit
 // these sizes, it does no harm.
 constexpr double SMOOTH = 0.15, ROUGH = 0.4, SMALL_RAD = 1e-5, LARGE_RAD = 4e-5;
 
+// Steps that differ by less are the same: inverse kinematics repeats a command up to its rounding, and Cartesian motion at
+// constant speed changes the joints' speeds by a small fraction.
+constexpr double SAME_RAD = 1e-9, SAME = 0.02;
+constexpr double AT_REST_RAD_S = 1e-4;  // below it, or this fraction of the commands' speed, a joint needs no stop
+constexpr double AT_REST = 0.01;
+constexpr int64_t LED = JOINTS;  // bit of `stops`: the last commands were led, and are not the policy's
+
 // Rows of the state, and of the values that a plan is made of.
 constexpr int64_t GOALS = 3, GOAL = 6, NOW = 7, ROWS = 11;
 constexpr int64_t MEETING = 7, VALUES = 11;
@@ -25,12 +32,13 @@ enum Mode { STEP = 0, POSITION = 1, GOAL_GIVEN = 2 };
 
 #define ADAPTER(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                                \
     INT(n) INT(ticks) INT(width) INT(mode) INT(size) INT(latest) INT(between_rows) INT(later_rows) REAL(approach)      \
-    LINK(envelope, Envelope) REALS(plans, latest * ticks * 11) REALS(ends, latest * 44) REALS(lines, latest * 16)      \
-    REALS(cubics, latest * 16) REALS(between, latest * between_rows * 11) INTS(later_ends, latest)                     \
+    LINK(envelope, Envelope) LINK(stopping, Stopping) REALS(plans, latest * ticks * 11) REALS(ends, latest * 44)       \
+    REALS(lines, latest * 16) REALS(cubics, latest * 16) REALS(between, latest * between_rows * 11) INTS(later_ends, latest)                     \
     INTS(later_kinds, later_rows) REALS(later, later_rows * 11) REALS(limits, 36) INT(meetings)                        \
     INTS(periods, meetings) INTS(curved, meetings) REALS(pursuit, ticks * 11) REAL(pursuit_rate)                       \
     REALS(resume, 4 * width) REALS(joint_step, 12) REALS(lower, 12) REALS(upper, 12) REALS(leash, 12)                  \
-    REALS(state, n * 132) REALS(before, n * 132) INTS(rest, n) REALS(commanded, n * 12) REALS(action, n * 2 * size) REALS(targets, n * ticks * 12)          \
+    REALS(state, n * 132) REALS(before, n * 132) INTS(rest, n) INTS(stops, n) REALS(commanded, n * 12)                     \
+    REALS(action, n * 2 * size) REALS(targets, n * ticks * 12)                                                         \
     REALS(widths_m, n * ticks * 2) REALS(most_m, 2) REALS(goal, n * 12) REALS(lowest, 2 * size) REALS(highest, 2 * size)   \
     INTS(clipped, n) REALS(links, 156) REALS(tool_m, 2) REAL(turn_m)
 
@@ -118,21 +126,103 @@ bool smoothness(const double* goals, double* weight) {
     return any > 0.0;
 }
 
+// The path's position, speed, acceleration and jerk, (4, 12), after targets that are not those of a plan.
+void resume(const Adapter& a, const double* state, const double* window, double* end) {
+    const int64_t width = a.envelope->width;
+    const double* last = state + (HISTORY - 1) * JOINTS;
+    const Scratch known(a.width * JOINTS);
+    copy(known, window, width * JOINTS);
+    copy(known + width * JOINTS, state + NOW * JOINTS, 2 * JOINTS);  // position and speed of the path
+    // Relative to the last target: joints that rest do so to the last bit.
+    for (int64_t i = 0; i < (width + 1) * JOINTS; ++i) known[i] -= last[i % JOINTS];
+    multiply(a.resume, 4, a.width, known, end);
+    for (int64_t j = 0; j < JOINTS; ++j) end[j] += last[j];
+}
+
+// Line through the last two commands of a joint.
+struct Line {
+    const Stopping& s;
+    double at, speed;             // now, and per second
+    bool stands, goes_on, is_old; // has no speed; has that of a period ago; that one had its own a period before
+
+    Line(const Stopping& stopping, const double* goals, int64_t j) : s(stopping), at(goals[2 * JOINTS + j]) {
+        const double last = goals[3 * JOINTS + j] - at, before = at - goals[JOINTS + j], first = goals[JOINTS + j] - goals[j];
+        speed = last / s.period_s;
+        stands = fabs(last) <= SAME_RAD;
+        goes_on = same(last, before);
+        is_old = same(before, first);
+    }
+
+    // Target with which an arm stays on the line.
+    double target(int64_t tick) const {
+        return at + speed * (s.lead_s + s.lookahead_s + static_cast<double>(tick) * s.tick_s);
+    }
+
+  private:
+    static bool same(double a, double b) { return fabs(a - b) <= SAME_RAD + SAME * larger(fabs(a), fabs(b)); }
+};
+
+// Plan the soonest stop beside their line of the joints that are faster than it and cannot but pass it. Returns these
+// joints; `before` are those that already stop.
+//
+// Such is a joint whose command stands still now, and one of an arm whose commands were lines that turned. Where every
+// command is another line, as those of a policy that explores, the next one calls the arm back: to brake for each costs
+// more than it gains.
+int64_t plan_stop(const Stopping& s, const double* state, const double* smooth, int64_t before, Stop& stop) {
+    const double *goals = state + GOALS * JOINTS, *now = state + NOW * JOINTS;
+    bool lines[2] = {!has(before, LED), !has(before, LED)};
+    for (int64_t j = 0; j < JOINTS; ++j) lines[j / 6] &= Line(s, goals, j).is_old;
+    double begin[CARRIED * JOINTS] = {};
+    int64_t stops = 0;
+    for (int64_t j = 0; j < JOINTS; ++j) {
+        const Line line(s, goals, j);
+        const double speed = now[JOINTS + j], faster = speed - line.speed, ahead = now[j] - line.at;
+        if (has(before, j)) {
+            if (!line.goes_on) continue;
+        } else {
+            // On the way to a line that goes on, a path to a meeting is left alone.
+            if (line.goes_on || !(line.stands || lines[j / 6]) || smooth[j] == 1.0) continue;
+            const double least = ahead + faster * (s.lookahead_s + fabs(faster) / s.acceleration_rad_s2);
+            if (faster * speed <= 0.0 || fabs(faster) <= AT_REST_RAD_S || least * faster <= 0.0) continue;
+        }
+        stops |= int64_t{1} << j;
+        for (int64_t k = 0; k < HISTORY; ++k) begin[k * JOINTS + j] = state[k * JOINTS + j] - line.target(k - HISTORY);
+        begin[3 * JOINTS + j] = ahead;
+        begin[4 * JOINTS + j] = faster;
+    }
+    while (stops && stop.soonest(begin, FULL - 1e-6)) {  // within it, however it is rounded
+        int64_t past = stops;
+        for (int64_t j = 0; j < JOINTS; ++j) {
+            if (!has(stops, j) || has(before, j) || stop.end[j] * begin[4 * JOINTS + j] > 0.0) continue;
+            past &= ~(int64_t{1} << j);
+            for (int64_t k = 0; k < CARRIED; ++k) begin[k * JOINTS + j] = 0.0;
+        }
+        if (past == stops) return stops;
+        stops = past;
+    }
+    return 0;
+}
+
 // Plan of a period, with a meeting some periods from now.
 struct Plan {
     const Adapter& a;
-    const double *goals, *last;  // (4, 12), (12,)
+    const double *state, *goals, *last;  // (11, 12), (4, 12), (12,)
     double weight[JOINTS], values[VALUES * JOINTS];
-    bool smooth;
+    const bool smooth;
+    Stop stop;
+    const int64_t stops;  // joints that stop, wherever that is: they meet nothing
+    int64_t unfinished;   // those whose stop takes longer than the period
 
-    Plan(const Adapter& adapter, const double* state) : a(adapter), goals(state + GOALS * JOINTS), last(state + 2 * JOINTS) {
-        smooth = smoothness(goals, weight);
+    Plan(const Adapter& adapter, int64_t row)
+        : a(adapter), state(a.state + row * ROWS * JOINTS), goals(state + GOALS * JOINTS), last(state + 2 * JOINTS),
+          smooth(smoothness(goals, weight)), stop(*a.stopping),
+          stops(plan_stop(*a.stopping, state, weight, a.stops[row], stop)), unfinished(stops) {
         // Relative to the last target: the terms of differences are small then, and so is their rounding.
         for (int64_t k = 0; k < MEETING; ++k) {
             const int64_t from = k < HISTORY ? k : k - HISTORY + NOW;
             const bool position = k <= HISTORY;
             for (int64_t j = 0; j < JOINTS; ++j)
-                values[k * JOINTS + j] = state[from * JOINTS + j] - (position ? last[j] : 0.0);
+                values[k * JOINTS + j] = has(stops, j) ? 0.0 : state[from * JOINTS + j] - (position ? last[j] : 0.0);
         }
     }
 
@@ -148,7 +238,7 @@ struct Plan {
             const double share = curved && possible ? weight[j] : 0.0;
             for (int64_t order = 0; order < 4; ++order) {
                 const int64_t i = order * JOINTS + j;
-                values[MEETING * JOINTS + i] = line[i] + share * (cubic[i] - line[i]);
+                values[MEETING * JOINTS + i] = has(stops, j) ? 0.0 : line[i] + share * (cubic[i] - line[i]);
             }
         }
     }
@@ -158,6 +248,7 @@ struct Plan {
     void pursue(double* out) {
         meet(1, false);
         for (int64_t j = 0; j < JOINTS; ++j) {
+            if (has(stops, j)) continue;
             const double distance = goals[2 * JOINTS + j] - last[j] - values[HISTORY * JOINTS + j];
             values[(MEETING + 1) * JOINTS + j] += a.pursuit_rate * distance;
         }
@@ -167,6 +258,11 @@ struct Plan {
     void targets(const double* matrix, double* out) const {
         multiply(matrix, a.ticks, VALUES, values, out);
         for (int64_t i = 0; i < a.ticks * JOINTS; ++i) out[i] += last[i % JOINTS];
+        for (int64_t j = 0; stops && j < JOINTS; ++j) {
+            const Line line(*a.stopping, goals, j);
+            for (int64_t k = 0; has(stops, j) && k < a.ticks; ++k)
+                out[k * JOINTS + j] = line.target(k) + stop.targets[k * JOINTS + j];
+        }
     }
 
     // With few targets per period, legal targets can lie on an illegal path.
@@ -201,22 +297,28 @@ struct Plan {
         if (!is_legal(*a.envelope, window, scratch, FULL, CARTESIAN_FULL)) return false;
         multiply(a.ends + (periods - 1) * 4 * VALUES, 4, VALUES, values, end);
         for (int64_t j = 0; j < JOINTS; ++j) end[j] += last[j];
+        if (stops) finish(window, end);
         return true;
     }
-};
 
-// The path's position, speed, acceleration and jerk, (4, 12), after targets that are not those of a plan.
-void resume(const Adapter& a, const double* state, const double* window, double* end) {
-    const int64_t width = a.envelope->width;
-    const double* last = state + (HISTORY - 1) * JOINTS;
-    const Scratch known(a.width * JOINTS);
-    copy(known, window, width * JOINTS);
-    copy(known + width * JOINTS, state + NOW * JOINTS, 2 * JOINTS);  // position and speed of the path
-    // Relative to the last target: joints that rest do so to the last bit.
-    for (int64_t i = 0; i < (width + 1) * JOINTS; ++i) known[i] -= last[i % JOINTS];
-    multiply(a.resume, 4, a.width, known, end);
-    for (int64_t j = 0; j < JOINTS; ++j) end[j] += last[j];
-}
+    // Write where joints that stop are after the period.
+    void finish(const double* window, double* end) {
+        const double *newest = window + (a.ticks + HISTORY - 1) * JOINTS, tick_s = a.envelope->tick_s;
+        double reached[4 * JOINTS];
+        resume(a, state, window, reached);
+        unfinished = 0;
+        for (int64_t j = 0; j < JOINTS; ++j) {
+            if (!has(stops, j)) continue;
+            const double speed = Line(*a.stopping, goals, j).speed, least = tick_s * (AT_REST_RAD_S + AT_REST * fabs(speed));
+            const double one = newest[j] - newest[j - JOINTS], two = newest[j - JOINTS] - newest[j - 2 * JOINTS];
+            const bool over = stop.over() || (fabs(one - speed * tick_s) <= least && fabs(two - speed * tick_s) <= least);
+            // At rest beside its line, an arm does not go on as its last targets did.
+            for (int64_t order = 0; order < 4; ++order)
+                end[order * JOINTS + j] = over && order > 1 ? 0.0 : reached[order * JOINTS + j];
+            if (!over) unfinished |= int64_t{1} << j;
+        }
+    }
+};
 
 // Take a window as the targets of a row, and the end of its path as the state from which the next period continues.
 void keep(const Adapter& a, int64_t row, const double* window, const double* end) {
@@ -247,7 +349,7 @@ void step(const Adapter& a, int64_t row, const double* action) {
     const Scratch window(e.width * JOINTS), scratch(e.width * JOINTS);
     double end[4 * JOINTS];
     copy(window, state, HISTORY * JOINTS);
-    Plan plan(a, state);
+    Plan plan(a, row);
     // The soonest legal meeting. The rest of the last path is among them: without it, arms would catch up later and
     // later, until they are too fast to do so.
     int64_t rest = a.rest[row] / 2, periods = 0, curved = a.rest[row] % 2;
@@ -269,6 +371,7 @@ void step(const Adapter& a, int64_t row, const double* action) {
         limit(e, planned, window);
         resume(a, state, window, end);
     }
+    a.stops[row] = plan.unfinished;
     keep(a, row, window, end);
 }
 

@@ -270,6 +270,7 @@ EXPORT void lead_step(const Lead* l, int64_t first, int64_t last) {
             copy(state + k * JOINTS + 6 * l->held, planned + k * JOINTS + 6 * l->held, 6);
         if (l->held >= 0) copy(a.commanded + row * JOINTS + 6 * l->held, commanded + 6 * l->held, 6);
         a.rest[row] = 0;
+        a.stops[row] = int64_t{1} << LED;
         l->led[row] = 1;
     }
 }

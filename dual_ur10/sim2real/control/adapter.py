@@ -21,7 +21,7 @@ from dual_ur10.kernel import RowLoop, Struct
 from dual_ur10.kinematics.forward import links
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply, quat_to_matrix
 from dual_ur10.kinematics.ur10 import DHParameters
-from dual_ur10.sim2real.control import path
+from dual_ur10.sim2real.control import path, stopping
 from dual_ur10.sim2real.control.cartesian_step import goal_of_step
 from dual_ur10.sim2real.control.limits import HISTORY, Envelope, MotionLimits
 from dual_ur10.sim2real.control.servoj import ServojLaw, ServojProfile
@@ -198,6 +198,7 @@ class ServojAdapter:
         self._state: Array = np.zeros((n, _STATE, 12))
         self._before: Array = np.zeros((n, _STATE, 12))  # the last plan
         self._rest = np.zeros(n, dtype=np.int64)  # of the last path: twice the periods left, plus 1 if curved
+        self._stops = np.zeros(n, dtype=np.int64)  # joints that stop past their commands, a bit each; bit 12: led
         self._commanded: Array = np.zeros((n, 2, 6))
         self._action: Array = np.zeros((n, 2, self.action_size))
         self._cartesian_goal: Array = np.zeros((n, 12))
@@ -228,6 +229,7 @@ class ServojAdapter:
             later_rows=sum(len(rows) for rows, _ in later),
             approach=self._approach,
             envelope=self.envelope.kernel,
+            stopping=self._stopping(),
             plans=np.stack([targets for targets, _ in plans]),
             ends=np.stack([end for _, end in plans]),
             lines=np.stack([path.continuation(self.period_s, periods, 2) for periods in horizons]),
@@ -252,6 +254,7 @@ class ServojAdapter:
             state=self._state,
             before=self._before,
             rest=self._rest,
+            stops=self._stops,
             commanded=self._commanded,
             action=self._action,
             targets=self._targets,
@@ -282,6 +285,30 @@ class ServojAdapter:
         if self.compensate_lag:
             targets[:, HISTORY:] += self._law.lookahead_s * rows.speed + rows.acceleration / self._law.gain
         return targets
+
+    def _stopping(self) -> Struct:
+        """Return the law of the soonest stop as the kernel's structure."""
+        arm = np.zeros((2, stopping.CARRIED + 1))
+        if self.compensate_lag:
+            arm[:, HISTORY:] = self._law.response(self.profile.tick_s, 1, 1)[0]
+        else:  # the path is the targets'
+            arm[0, -1] = 1.0
+            arm[1, [HISTORY - 1, -1]] = np.array([-1.0, 1.0]) / self.profile.tick_s
+        limits = self.limits.acceleration_rad_s2, self.limits.jerk_rad_s3
+        rows = stopping.gains(arm, self.profile.tick_s, *limits)
+        return Struct(
+            "Stopping",
+            latest=len(rows),
+            ticks=self.ticks,
+            tick_s=self.profile.tick_s,
+            period_s=self.period_s,
+            lead_s=self._lead_s,
+            lookahead_s=self._law.lookahead_s if self.compensate_lag else 0.0,
+            acceleration_rad_s2=limits[0],
+            jerk_rad_s3=limits[1],
+            gains=rows,
+            arm=arm,
+        )
 
     def _later(self, periods: int) -> tuple[Array, NDArray[np.int64]]:
         """Return what is limited after this period, as a matrix on a plan's values, and the kind of each row.
@@ -418,6 +445,7 @@ class ServojAdapter:
         self._state[index] = np.asarray(q_rad).reshape(-1, 1, 12)
         self._state[index, _SPEED:] = 0.0
         self._rest[index] = 0
+        self._stops[index] = 0
         self._commanded[index] = self._state[index, _GOAL].reshape(-1, 2, 6)
 
     def __call__(self, action: Array) -> Command:

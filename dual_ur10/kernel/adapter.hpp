@@ -332,6 +332,15 @@ void keep(const Adapter& a, int64_t row, const double* window, const double* end
     copy(a.targets + row * ticks * JOINTS, window + HISTORY * JOINTS, ticks * JOINTS);
 }
 
+// False for a row whose action is no number somewhere: no motion is asked of either arm then. A bound would be worse, since
+// NaN is clamped to one.
+bool is_finite(const Adapter& a, int64_t row, const double* action) {
+    bool finite = true;
+    for (int64_t k = 0; k < 2 * a.size; ++k) finite &= isfinite(action[k]);
+    for (int64_t j = 0; a.mode == GOAL_GIVEN && j < JOINTS; ++j) finite &= isfinite(a.goal[row * JOINTS + j]);
+    return finite;
+}
+
 void step(const Adapter& a, int64_t row, const double* action) {
     const Envelope& e = *a.envelope;
     double *state = a.state + row * ROWS * JOINTS, *goal = state + GOAL * JOINTS;
@@ -339,9 +348,11 @@ void step(const Adapter& a, int64_t row, const double* action) {
     bool clipped = false;
     for (int64_t k = 0; k < 2 * a.size; ++k) clipped |= action[k] < a.lowest[k] || action[k] > a.highest[k];
     a.clipped[row] += clipped;
+    const bool whole = is_finite(a, row, action);
     for (int64_t j = 0; j < JOINTS; ++j) {
         const double value = a.mode == GOAL_GIVEN ? a.goal[row * JOINTS + j] : action[(j / 6) * a.size + j % 6];
-        const double aim = a.mode == STEP ? commanded[j] + clamp(value, -1.0, 1.0) * a.joint_step[j] : value;
+        const double to = a.mode == STEP ? commanded[j] + clamp(value, -1.0, 1.0) * a.joint_step[j] : value;
+        const double aim = whole ? to : commanded[j];
         const double here = (1.0 - a.approach) * goal[j - JOINTS];  // the last goal
         goal[j] = clamp(aim, here + a.lower[j], here + a.upper[j]);
     }
@@ -383,7 +394,8 @@ EXPORT void adapter_step(const Adapter* a, int64_t first, int64_t last) {
     for (int64_t row = first; row < last; ++row) {
         const double* action = a->action + row * 2 * a->size;
         step(*a, row, action);
-        for (int64_t k = 0; a->size == 7 && k < 2 * a->ticks; ++k)
+        if (a->size < 7 || !is_finite(*a, row, action)) continue;  // grippers keep their widths
+        for (int64_t k = 0; k < 2 * a->ticks; ++k)
             a->widths_m[row * 2 * a->ticks + k] = (clamp(action[6 + 7 * (k & 1)], -1.0, 1.0) + 1.0) * (a->most_m[k & 1] / 2.0);
     }
 }

@@ -204,7 +204,7 @@ class ServojAdapter:
         self._cartesian_goal: Array = np.zeros((n, 12))
         self._clipped = np.zeros(n, dtype=np.int64)
         self._targets: Array = np.zeros((n, ticks, 2, 6))
-        self._widths: Array = np.zeros((n, ticks, 2))
+        self._widths: Array = np.tile(self.stroke_m, (n, ticks, 1))
         self.kernel, self.threads = self._struct(), threads
         self._step = RowLoop("adapter_step", self.kernel, n, threads)
 
@@ -447,12 +447,14 @@ class ServojAdapter:
         self._rest[index] = 0
         self._stops[index] = 0
         self._commanded[index] = self._state[index, _GOAL].reshape(-1, 2, 6)
+        self._widths[index] = self.stroke_m
 
     def __call__(self, action: Array) -> Command:
         """Return the targets of the next period.
 
         Args:
-            action: (n, 2, action_size), finite. Values outside the bounds are clipped to them.
+            action: (n, 2, action_size). Values outside the bounds are clipped to them. A cell with a value that is not
+                finite gets no motion, as after steps of zero, and its grippers keep their widths.
         """
         self._action[:] = action
         if self.mode == "tcp_delta":
@@ -463,7 +465,7 @@ class ServojAdapter:
     def _tcp_goal(self, action: Array) -> Array:
         """Return joint goals, (n, 2, 6), of Cartesian steps."""
         now = self.commanded_q_rad
-        asked = np.clip(action, -1.0, 1.0) * self.action_scale
+        asked = np.clip(np.nan_to_num(action), -1.0, 1.0) * self.action_scale  # the kernel moves no cell with a NaN
         goal = now.copy()
         for arm, dh in enumerate(self.dh):
             # One small product per cell, so that its last bit does not depend on how many others there are.

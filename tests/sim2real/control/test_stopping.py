@@ -1,4 +1,4 @@
-"""Commands that stop or turn back: arms go little farther than the limits make them."""
+"""Commands that stop, turn back or are no numbers: arms go little farther than the limits make them."""
 
 from __future__ import annotations
 
@@ -100,6 +100,23 @@ def test_lines_that_stop_and_turn_break_no_limit_and_are_reached(pieces, kind, l
     windows = np.stack([history[k : k + HISTORY + ticks] for k in range(0, len(sent), ticks)])
     assert limit_use(adapter.envelope, windows).max() <= 1.0
     assert np.abs(sent[-1] - adapter.commanded_q_rad.ravel()).max() < 1e-6
+
+
+@pytest.mark.parametrize("mode", ["joint_delta", "joint_position", "tcp_delta"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_an_action_that_is_no_number_is_no_motion(mode: str, value: float) -> None:
+    adapter, alone = at_home(3, mode=mode, gripper=True), at_home(1, mode=mode, gripper=True)
+    action = np.zeros((3, 2, 7))
+    action[..., :6] = HOME_Q_RAD if mode == "joint_position" else 0.0
+    action[..., 6] = 0.5
+    first = adapter(action).gripper_m
+    alone(action[:1])
+    action[1, 0, 2], action[2, 1, 6] = value, value
+    for _ in range(5):
+        command = adapter(action)
+        assert np.abs(command.targets_rad - HOME_Q_RAD).max() < 1e-9
+        np.testing.assert_array_equal(command.gripper_m, first)
+        np.testing.assert_array_equal(command.targets_rad[0], alone(action[:1]).targets_rad[0])
 
 
 # ------------------------------------------------------------------------------------------------ the law of a stop

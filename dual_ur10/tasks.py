@@ -41,7 +41,7 @@ from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Task, Timing, 
 from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics.frames import Frames
 from dual_ur10.kinematics.poses import Poses, compose, pose, relative_to, rotation_angle, yaw_quat
-from dual_ur10.kinematics.rotations import quat_from_rotvec
+from dual_ur10.kinematics.rotations import quat_conjugate, quat_from_rotvec, quat_multiply, rotate
 from dual_ur10.policies.scripted.base import Fields, Script, ScriptedPolicy, Wish, on_table
 from dual_ur10.policies.scripted.motions import Motions, Steps, least_jerk, pair, raised
 from dual_ur10.policies.training.settings import Imitation, Reinforcement, TaskSettings
@@ -110,11 +110,14 @@ __all__ = [
     "pose",
     "pose_fields",
     "pose_values",
+    "quat_conjugate",
     "quat_from_rotvec",
+    "quat_multiply",
     "raised",
     "ratio",
     "register",
     "relative_to",
+    "rotate",
     "rotation_angle",
     "stage",
     "term",

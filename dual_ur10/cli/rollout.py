@@ -142,4 +142,4 @@ def _row(found: EpisodeRecord) -> tuple[str, ...]:
         squares = (found.flange_error_m**2).mean(axis=0)
         figures = [f"{1e3 * np.sqrt(squares.max()):.4f}", f"{1e3 * found.flange_error_m.max():.4f}"]
     mark = "[green]yes[/]" if found.success else "[red]no[/]"
-    return (str(found.steps), f"{found.reward.sum():.2f}", mark, *figures, escape(found.ended_by))
+    return (str(found.steps), f"{found.reward.sum():.2f}", mark, *figures, escape(found.ended_by or found.end_reason))

@@ -163,6 +163,8 @@ def test_a_task_without_flange_errors_has_no_columns_of_them() -> None:
     _, text = run("rollout", "Handover", "-n", "1", "--policy", "zero", "--no-record", "--set", "duration_s=1.0")
     assert "recording" not in text
     assert "mm" not in text
+    (row,) = [line.split("│")[1:-1] for line in text.splitlines() if line.startswith("│")]
+    assert row[-1].strip() == "time"  # its end, which is not an early one
 
 
 def test_set_reaches_the_environment_and_perturbed_the_plant() -> None:

@@ -166,6 +166,6 @@ def numbers_of(numbers: dict[str, NDArray[Any]]) -> dict[str, Any]:
 def info_of(step: Step) -> dict[str, Any]:
     """Return the info of one cell's step."""
     info = numbers_of(step.info)
-    if step.verdicts or step.ends:
+    if step.verdicts or step.ends or step.led_by:
         info.update(step.details(0))
     return info

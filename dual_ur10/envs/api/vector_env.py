@@ -206,7 +206,7 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
     def _info(self, step: Step) -> dict[str, Any]:
         everyone = np.ones(self.num_envs, dtype=bool)
         info = _masked(step.info, everyone)
-        for row in {*step.verdicts, *step.ends}:
+        for row in {*step.verdicts, *step.ends, *step.led_by}:
             for name, value in step.details(row).items():
                 if name not in info:
                     info[name] = np.full(self.num_envs, None, dtype=object)

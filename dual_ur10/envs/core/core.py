@@ -102,6 +102,7 @@ class Step(NamedTuple):
         verdicts: Reasons of the gate's refusals, by row.
         diverged: (n,) True if the physics diverged.
         ends: Reasons of the ends of episodes, by row; see `dual_ur10.envs.core.ends`.
+        led_by: Pairs of bodies with the smallest spare distance where motion was led, by row.
         agents: Observations and rewards of the two agents.
     """
 
@@ -113,6 +114,7 @@ class Step(NamedTuple):
     verdicts: dict[int, Verdict]
     diverged: Mask
     ends: dict[int, str]
+    led_by: dict[int, str]
     agents: Agents
 
     def details(self, row: int) -> dict[str, Any]:
@@ -124,6 +126,8 @@ class Step(NamedTuple):
             found["physics_error"] = PHYSICS_ERROR
         if row in self.ends:
             found["end_reason"] = self.ends[row]
+        if row in self.led_by:
+            found["led_by"] = self.led_by[row]
         return found
 
 
@@ -389,11 +393,18 @@ class Core:
         if np.count_nonzero(ended):
             cell.finish()
             ends = {row: self._end(row, true, verdicts, outcome, success) for row in np.flatnonzero(ended).tolist()}
-        step = Step(agents.joint, reward, terminated, outcome.over, info, verdicts, state.failed, ends, agents)
+        led_by = self._led_by() if np.count_nonzero(self.pipeline.led) else {}
+        step = Step(agents.joint, reward, terminated, outcome.over, info, verdicts, state.failed, ends, led_by, agents)
         self._state = true
         if self._hook is not None:
             self._hook.step(action, command, step, period, early_end(step.details(0)), self.commander)
         return step
+
+    def _led_by(self) -> dict[int, str]:
+        """Return the pair of bodies that is nearest to its smallest legal distance, by row whose motion was led."""
+        rows = np.flatnonzero(self.pipeline.led)
+        nearest = self.pipeline.gate.spare_m[rows].argmin(axis=1)
+        return {row: " and ".join(self._clearance.pairs[k]) for row, k in zip(rows.tolist(), nearest, strict=True)}
 
     def _with_load(self, command: Command) -> Command:
         """Return a command with the payload that the task declares and, on controllers, the coupling of the arms."""

@@ -83,6 +83,8 @@ def _between_m(tool: Tool) -> list[float]:
 class Grasped(NamedTuple):
     """Both arms and k objects, relative to each other.
 
+    A frame is 12 numbers: a position in m, then a rotation matrix by rows. The columns of the matrix are the axes.
+
     Attributes:
         tools: (n, 2, 12) frames of the tools in the cell frame.
         frames: (n, k, 12) frames of the objects in the cell frame.

@@ -39,7 +39,8 @@ class Grip(NamedTuple):
 
     Attributes:
         prop: Name of the prop.
-        tool: Pose of the tool in the frame of the prop, or of its body, (3,) and (4,).
+        tool: Pose of the tool in the frame of the prop, or of its body, (3,) and (4,). The tool's z points out of the
+            gripper, and its fingers close along its y; (0, 0, 1, 0) and (0, 1, 0, 0) point it downwards.
         width_m: Width of the prop between the fingers.
         body: Name of a body of the prop that its joints move, such as a lid; "": the prop itself.
     """

@@ -95,7 +95,7 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
 
     Args:
         settings: Values of the task's keywords.
-        cell: The cell.
+        cell: The cell; its tools are `cell.equipment.tools`, left and right.
         timing: Rate and latency of actions.
         n: Number of cells.
     """

@@ -30,6 +30,7 @@ class Record:
         reward: (k,).
         success: True if the task reports success.
         ended_by: Reason of an early end, such as the gate's verdict or "bar_lost"; "" if there was none.
+        end_reason: Name of the end, as `info["end_reason"]` has it.
         reference_m: (k, 2, 3) reference positions of the flanges; None if the task has none.
         flange_error_m: (k, 2) distance of each flange to its reference, as the task reports it; None as above.
         orientation_error_rad: (k, 2) angle of each flange to its reference orientation; None as above.
@@ -42,6 +43,7 @@ class Record:
     reward: Array
     success: bool
     ended_by: str = ""
+    end_reason: str = ""
     reference_m: Array | None = None
     flange_error_m: Array | None = None
     orientation_error_rad: Array | None = None
@@ -157,6 +159,7 @@ def rollout(
         reward=np.array(rewards),
         success=bool(info.get("is_success", False)),
         ended_by=early_end(info),
+        end_reason=str(info.get("end_reason", "")),
         **arrays,  # type: ignore[arg-type]  # the keys are the fields
     )
 

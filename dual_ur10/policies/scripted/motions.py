@@ -78,7 +78,7 @@ class Motions:
         return Poses(cell.position_m[0], cell.quat[0])
 
     def force_n(self) -> Array:
-        """Return the forces of the objects on both grippers, (2, 3), from the field `force_n`."""
+        """Return the forces of the objects on both grippers, (2, 3) in the cell frame, from the field `force_n`."""
         return self._frames.vector_to_cell(self.fields["force_n"])
 
     def step(self, tools: Poses) -> Steps:

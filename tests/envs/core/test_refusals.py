@@ -131,3 +131,17 @@ def test_a_row_equals_a_single_environment_across_brakes():
 def test_an_unknown_reaction_names_the_choices():
     with pytest.raises(UnknownNameError, match="'brake', 'terminate'"):
         gym.make("DualUR10/SineTracking-v0", on_refusal="ignore")
+
+
+def test_led_motion_names_the_pair_of_bodies_that_has_the_least_room():
+    envs = gym.make_vec("DualUR10/SineTracking-v0", num_envs=2, action_mode="tcp_delta")
+    envs.reset(seed=0)
+    down = np.zeros((2, 12), dtype=np.float32)
+    down[1, 2] = -1.0
+    for _ in range(100):
+        *_, info = envs.step(down)
+        if info["led"][1]:
+            break
+    assert info["led"].tolist() == info["_led_by"].tolist() == [False, True]
+    assert info["led_by"][1].startswith("left/")
+    assert info["led_by"][1].endswith(" and table")

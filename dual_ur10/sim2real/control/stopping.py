@@ -14,9 +14,10 @@ from typing import Final
 
 import numpy as np
 
+from dual_ur10.sim2real.control.limits import HISTORY
 from dual_ur10.types import Array
 
-CARRIED: Final = 5
+CARRIED: Final = HISTORY + 2
 """Numbers of a joint that a stop is planned from: its last three targets, its arm's position and speed."""
 
 LATEST_S: Final = 0.6
@@ -45,22 +46,18 @@ def gains(arm: Array, tick_s: float, acceleration_rad_s2: float, jerk_rad_s3: fl
     after[3:] = arm
     differences = np.array([[0.0, 1.0, -2.0, 0.0, 0.0, 1.0], [-1.0, 3.0, -3.0, 0.0, 0.0, 1.0]])
     cost = differences.T @ np.diag([1.0, weight]) @ differences
-    # At the end: the arm at rest on its target, which is then held.
+    # At the end the arm rests on its target, which is held: two ticks later the differences are over.
     at_rest = np.array([[0.0, 0.0, -1.0, 1.0, 0.0], [0.0, 0.0, 0.0, 0.0, tick_s]])
-    end = _REST * at_rest.T @ at_rest
-    held = after.copy()
-    held[:, 2] += held[:, CARRIED]
-    hold = differences.copy()
-    hold[:, 2] += hold[:, CARRIED]
-    for _ in range(2):
-        end = hold[:, :CARRIED].T @ np.diag([1.0, weight]) @ hold[:, :CARRIED] + held[:, :CARRIED].T @ end @ held[:, :CARRIED]
+    value = _REST * at_rest.T @ at_rest
+    held = np.eye(CARRIED + 1, CARRIED)
+    held[CARRIED, 2] = 1.0
+    for _ in range(HISTORY - 1):
+        value = held.T @ (cost + after.T @ value @ after) @ held
     rows = []
-    value = end
     for _ in range(math.ceil(LATEST_S / tick_s)):
         whole = cost + after.T @ value @ after
-        row = -whole[CARRIED, :CARRIED] / whole[CARRIED, CARRIED]
-        rows.append(row)
-        closed = np.vstack([np.eye(CARRIED), row])
+        rows.append(-whole[CARRIED, :CARRIED] / whole[CARRIED, CARRIED])
+        closed = np.vstack([np.eye(CARRIED), rows[-1]])
         value = closed.T @ whole @ closed
         value = (value + value.T) / 2
     result: Array = np.array(rows)

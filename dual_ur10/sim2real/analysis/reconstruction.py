@@ -104,9 +104,7 @@ def _typed(keywords: dict[str, Any], header: Header) -> dict[str, Any]:
     try:
         settings_type(**{name: keywords[name] for name in own})  # names are resolved here, where nothing is imported
     except (DualUR10Error, LookupError, TypeError, ValueError) as error:
-        raise RecordingError(
-            f"the keywords of the recording are not legal: {error}. It is damaged, or of another version"
-        ) from error
+        raise RecordingError(f"the keywords of the recording are not legal: {error}") from error
     return keywords
 
 

@@ -167,21 +167,19 @@ def test_the_stop_is_in_sight_wherever_the_panel_is_scrolled_and_nothing_is_too_
 def test_the_space_bar_stops_whatever_has_the_focus_but_a_text_field(live, new_page):
     page = new_page(live.url, TINY)
     _begin(live, page)
-    stops = live.page.memory.stops
+    memory = live.page.memory
+    stops, (_, since) = memory.stops, memory.pressed(0)
     page.evaluate("document.body.appendChild(document.createElement('input')).focus()")
     page.keyboard.type(" r 1 ")
     page.evaluate("document.activeElement.remove()")
     page.get_by_role("button", name="Take both", exact=True).focus()
     page.keyboard.press("Space")
     page.get_by_text("STOPPED by the page").wait_for()
-    assert live.page.memory.stops == stops + 1
-    assert not live.operator.commander.any()
+    assert (memory.stops, memory.pressed(since)[0]) == (stops + 1, [])
     page.keyboard.press("r")
     page.get_by_text("STOPPED by the page").wait_for(state="detached")
     page.keyboard.press("1")
-    until(lambda: live.operator.commander.tolist() == [True, False], SOON_S)
-    page.keyboard.press("0")
-    until(lambda: not live.operator.commander.any(), SOON_S)
+    until(lambda: memory.pressed(since)[0] == ["reset", "take_left"], SOON_S)
 
 
 def test_a_page_loads_nothing_from_elsewhere(live, browser):

@@ -125,8 +125,8 @@ def takeovers(monkeypatch, count, seed=0):
     """Take over and hand back at random instants.
 
     Returns:
-        Of `count` of them, the number above a cap, the largest distance from the path (mm), and the delays (ms) of
-        those arms that moved steadily before.
+        Of `count` of them, the number above a cap, the largest distance from the path (mm), the delays (ms) of those
+        arms that moved steadily before, and the number of late actions.
     """
     rng, shared = np.random.default_rng(seed), Shared(monkeypatch)
     limits, tick_s = shared.core.pipeline.adapter.limits, shared.core.config.servoj.tick_s
@@ -157,12 +157,12 @@ def takeovers(monkeypatch, count, seed=0):
         reached = [np.abs(np.diff(path, k + 1, axis=0)) / tick_s ** (k + 1) for k in range(3)]
         above += any((each > np.array(cap) * (1 + 1e-6)).any() for each, cap in zip(reached, caps, strict=True))
     shared.close()
-    return above, 1e3 * off_m, [1e3 * each for each in waits if np.isfinite(each)]
+    return above, 1e3 * off_m, [1e3 * each for each in waits if np.isfinite(each)], shared.core.late_actions
 
 
 def test_takeovers_keep_limits_and_path_and_act_at_once(monkeypatch):
-    above, off_mm, delays_ms = takeovers(monkeypatch, 4)
-    assert above == 0
+    above, off_mm, delays_ms, late = takeovers(monkeypatch, 4)
+    assert above == late == 0
     assert off_mm < MOST_MM
     assert len(delays_ms) >= 2
     assert 18 < max(delays_ms) < 1e3 * MOST_S  # the queue alone takes 18 ms

@@ -25,7 +25,7 @@ SPEED = 0.1  # of the limit, for the policy
 HAND = 0.1  # m/s and rad/s along and about each axis
 MOVED_RAD = 1e-5
 MOST_MM, MOST_S = 1.0, 0.05
-AROUND = 15  # steps, within which the arms come to where they were commanded
+AROUND = 60  # steps, within which the arms come to where they were commanded: 15, at a quarter of the pace 60
 REST_STEPS = round((HAND_BACK_S + 0.3) * RATE_HZ)  # after each of them, until it moves steadily again
 
 

@@ -73,7 +73,7 @@ def test_setpoints_of_every_control_period_are_executed(rig):
     for q in sent:
         rig.driver.write(Mode.SERVOJ, q)
         rig.tick()
-    executed = [each.q_rad for each in rig.bench.controller.setpoints]
+    executed = [each[1] for each in rig.bench.controller.setpoints]
     np.testing.assert_allclose(executed, sent, atol=0.5e-6)
 
 
@@ -84,7 +84,7 @@ def test_a_missing_setpoint_is_extrapolated_while_the_program_waits_for_the_next
             rig.driver.write(Mode.SERVOJ, start + 0.0004 * k)
         rig.tick()
     assert rig.bench.controller.setpoints_count == 59  # from the first message on, one in every control period
-    targets = np.array([each.q_rad[0] for each in rig.bench.controller.setpoints])
+    targets = np.array([each[1][0] for each in rig.bench.controller.setpoints])
     assert np.abs(np.diff(targets) - 0.0004).max() < 0.0004
 
 

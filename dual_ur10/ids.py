@@ -91,10 +91,11 @@ _received: ContextVar[str] = ContextVar("received", default="")
 
 @contextmanager
 def received(source: str) -> Iterator[None]:
-    """Import nothing in the block that a "module:NAME" in received data names.
+    """Import and call nothing in the block that a "module:NAME" in received data names.
 
-    Records, checkpoints and datasets may come from anybody. They name registered things, and what this program has
-    imported already; a cell file and a program may name any module.
+    Records, checkpoints and datasets may come from anybody. They name registered things, and objects that this program
+    has imported already, but no functions or classes, such as those of the standard library; a cell file and a program
+    may name anything.
 
     Args:
         source: Noun for messages, such as "the recording".
@@ -154,7 +155,7 @@ def env_id_of(name: str) -> str:
         raise SettingsError(f'the environment is {name!r:.80}: pass its id, such as "Handover"')
     module, colon, name = name.rpartition(":")
     if colon:
-        _import(module, f"the module {module!r}, which is to register {name!r},")
+        _import(module, f"the module {module!r}, which is to register {name!r},", _received.get())
     if name in TASKS:
         return name
     fitting = [env_id for env_id in _fitting(name) if env_id in ENV_IDS]
@@ -192,20 +193,27 @@ def load_object(path: str, kind: str, *, registered: bool = False) -> Any:
 
     Raises:
         SettingsError: The module cannot be imported, or has no such name; or data that were received name it, and it
-            was not imported before.
+            was not imported before, or is called.
     """
     module, _, name = path.partition(":")
-    found = _import(module, f"{kind}, {path!r},", registered=registered)
+    source = "" if registered else _received.get()
+    holder = _import(module, f"{kind}, {path!r},", source)
     try:
         # A module may run code for a name that it does not have.
-        return getattr(found, name) if registered or not _received.get() else vars(found)[name]
+        found = vars(holder)[name] if source else getattr(holder, name)
     except Exception as error:
         raise SettingsError(f"{kind}, {path!r}, cannot be imported: {error}. Name what {module!r} defines") from error
+    if source and callable(found):
+        raise SettingsError(
+            f"{kind}, {path!r}, is named by {source}, and nothing is called for what was received: name what this "
+            "package or an installed one registers"
+        )
+    return found
 
 
-def _import(module: str, what: str, *, registered: bool = False) -> ModuleType:
-    """Return a module, which is imported unless received data name it."""
-    if (source := _received.get()) and not registered:
+def _import(module: str, what: str, source: str) -> ModuleType:
+    """Return a module, which is imported unless it is named by received data, whose noun is `source`."""
+    if source:
         discover()
         if module not in sys.modules:
             raise SettingsError(

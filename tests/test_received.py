@@ -20,12 +20,13 @@ from dual_ur10.assets.prop import Prop
 from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85
 from dual_ur10.assets.scene import compose
 from dual_ur10.envs.core.setup import EnvSetup
-from dual_ur10.errors import CheckpointError, DualUR10Error, RecordingError, SettingsError
+from dual_ur10.errors import CheckpointError, DeviceAbsentError, DualUR10Error, RecordingError, SettingsError
 from dual_ur10.ids import env_id_of, load_object, received
 from dual_ur10.policies.evaluation.minari_export import _core
 from dual_ur10.policies.learned.checkpoint import _check
 from dual_ur10.policies.learned.manifest import parse
 from dual_ur10.policies.learned.signature import view_of, view_of_signature
+from dual_ur10.policies.operators.catalog import make_device
 from dual_ur10.policies.training import dataset
 from dual_ur10.sim2real.analysis.reconstruction import keywords_of
 from dual_ur10.sim2real.config.cell_file import load_cell_file
@@ -155,6 +156,17 @@ def test_what_is_imported_or_registered_may_be_named(tmp_path: Any, monkeypatch:
         load_object("my_posts:OTHER", "it")
     with received("a file"), pytest.raises(SettingsError, match="to register 'A/B-v0', is named by a file"):
         env_id_of("no_such_module:A/B-v0")
+
+
+def test_nothing_is_called_that_received_data_name(tmp_path: Any) -> None:
+    """Such as the operator of a training that is resumed: the standard library is imported already."""
+    file = tmp_path / "file"
+    for text in (f"subprocess:Popen:args=touch {file},shell=true", f"os:mkdir:path={file}", "os:getcwd"):
+        with received("the training"), pytest.raises(SettingsError, match="nothing is called for what was received"):
+            make_device(text)
+    assert not file.exists()
+    with received("the training"), pytest.raises(DeviceAbsentError):
+        make_device("keyboard")  # registered; the standard input is no terminal
 
 
 def test_a_cell_file_that_was_recorded_names_registered_tools(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -148,7 +148,8 @@ def draw_gripper(arm: Any, tool: Tool) -> None:
     if not tool.visuals:
         _draw_plainly(arm, tool)
         return
-    load_object(tool.visuals, f"visuals of the tool {tool.name!r}")(arm, tool)
+    # Registered, since `Tool.received` takes none from records.
+    load_object(tool.visuals, f"visuals of the tool {tool.name!r}", registered=True)(arm, tool)
 
 
 def _draw_plainly(arm: Any, tool: Tool) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -201,6 +203,7 @@ def read_dataset(dataset_id: str, view: EnvironmentView) -> tuple[Single, Single
     """
     minari = _minari()
     try:
+        _check_spaces(minari, dataset_id)
         dataset = minari.load_dataset(dataset_id)
         spec = dataset.storage.metadata.get("env_spec")
     except FileNotFoundError as error:
@@ -230,6 +233,19 @@ def read_dataset(dataset_id: str, view: EnvironmentView) -> tuple[Single, Single
     ):
         raise DatasetError(f"{dataset_id} has observations or actions of another size, or numbers that are not finite")
     return observation, action
+
+
+def _check_spaces(minari: Any, dataset_id: str) -> None:
+    """Refuse a dataset without its spaces: Minari would import what its environment names, to make it for them.
+
+    Raises:
+        DatasetError: It does not state both spaces.
+        FileNotFoundError: There is no such dataset.
+    """
+    path = Path(minari.storage.datasets_root_dir.get_dataset_path(dataset_id)) / "data" / "metadata.json"
+    stated = json.loads(path.read_text())
+    if not all(isinstance(stated.get(name), str) for name in ("observation_space", "action_space")):
+        raise DatasetError("it does not state its spaces of observations and actions: export it anew")
 
 
 def _chosen(dataset_id: str, dataset: Any) -> list[int]:

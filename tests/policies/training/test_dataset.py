@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 
 import gymnasium as gym
 import numpy as np
@@ -209,6 +210,23 @@ def test_a_dataset_without_an_environment_is_refused():
         path.write_text(json.dumps({**metadata, "env_spec": spec}))
         with pytest.raises(DatasetError, match=r"does not specify its environment|cannot be read"):
             read_dataset("ur10/sine/scripted-v0", view_of(SINE, KEYWORDS))
+
+
+def test_a_dataset_without_spaces_makes_no_environment(tmp_path, monkeypatch):
+    made(episodes=1)
+    (tmp_path / "hostile.py").write_text("def make(**_): ...\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    path = minari.load_dataset("ur10/sine/scripted-v0").storage.data_path / "metadata.json"
+    metadata = json.loads(path.read_text())
+    spec = json.dumps({**json.loads(metadata["env_spec"]), "entry_point": "hostile:make"})
+    for name in ("observation_space", "action_space"):
+        path.write_text(json.dumps({**metadata, "env_spec": spec} | {name: None}))
+        with pytest.raises(DatasetError, match="does not state its spaces"):
+            read_dataset("ur10/sine/scripted-v0", view_of(SINE, KEYWORDS))
+        path.write_text(json.dumps({key: each for key, each in {**metadata, "env_spec": spec}.items() if key != name}))
+        with pytest.raises(DatasetError, match="does not state its spaces"):
+            read_dataset("ur10/sine/scripted-v0", view_of(SINE, KEYWORDS))
+    assert "hostile" not in sys.modules
 
 
 def test_cloning_learns_from_a_dataset_alone(tmp_path, monkeypatch):

@@ -1,5 +1,7 @@
 """Reaction to motions that the safety gate refuses: the episode ends, or continues after a brake."""
 
+import itertools
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -61,12 +63,14 @@ def test_an_episode_continues_after_the_brake():
 def test_a_motion_that_is_refused_again_and_again_costs_once_until_another_is_released():
     core = begun()
     _, towards = until_refused(core)
-    costs, refused = [], []
+    costs, refused = [], [True]
     for action in [towards] * 40 + [-towards] * 3 + [towards] * 40:
         step = core.step(action)
         costs.append(step.info["reward/refusal"][0])
         refused.append(bool(step.verdicts))
-    assert sum(costs) == 1.0  # beside the first one
+    assert costs == [now and not before for before, now in itertools.pairwise(refused)]
+    assert sum(costs) >= 1.0  # beside the first one
+    assert sum(costs[:40]) == 0.0
     assert sum(refused) > 50
     core.reset([np.random.default_rng(0)])
     assert until_refused(core)[0].info["reward/refusal"][0] == 1.0

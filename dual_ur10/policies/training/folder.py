@@ -14,6 +14,7 @@ progress.csv, events*  logs of Stable-Baselines3's logger: a table, and TensorBo
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import fcntl
 import json
@@ -208,8 +209,8 @@ class TrainingFolder:
                 logger.close()
         finally:
             if lock is not None:
-                fcntl.flock(lock, fcntl.LOCK_UN)  # a forked process has the file open, too
-                lock.close()
+                with lock, contextlib.suppress(OSError):  # a file system without locks
+                    fcntl.flock(lock, fcntl.LOCK_UN)  # a forked process has the file open, too
 
     def policy_of(self, networks: Networks, manifest: Manifest) -> LearnedPolicy:
         """Return the policy with these weights, in the environment of the training."""

@@ -306,6 +306,15 @@ def test_one_process_at_a_time_trains_in_a_folder(tmp_path):
             resume(out)
 
 
+def test_a_file_system_without_locks_warns_and_goes_on(tmp_path, monkeypatch, caplog):
+    def no_locks(*_):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr("fcntl.flock", no_locks)
+    folders.TrainingFolder.create(tmp_path / "out", small()).close()
+    assert "cannot be locked: No locks available" in caplog.text
+
+
 def test_wrong_settings_are_reported_with_their_paths(whole, tmp_path):
     path = shutil.copytree(whole.parent, tmp_path / "out") / "training.json"
     asked = json.loads(path.read_text())

@@ -70,7 +70,8 @@ def measure(task, family, episodes):
             if stop:
                 stops.append(stop)
                 env.close()
-                env = Latch(load_cell_file(path)).clear()
+                env = None
+                Latch(load_cell_file(path)).clear()
             print(f"{task}, seed {seed}: success {success}, late actions {found[-1][1]}", file=sys.stderr)
     share = {name: seconds / wall_s for name, seconds in sorted(used.items())}
     return {

@@ -12,6 +12,7 @@ import sys
 import numpy as np
 import pytest
 
+from dual_ur10.envs.rendering.live.overlay import Overlay
 from dual_ur10.errors import CellFaulted
 from dual_ur10.kinematics.rotations import quat_to_matrix
 from dual_ur10.sim2real.runtime.arm_memory import Phase
@@ -30,6 +31,7 @@ TINY = {"width": 500, "height": 300}
 SOON_S = 120.0
 GRAB_S = 5.0
 GRABS = 10
+OVERLAID = Overlay(stops=True).over(b"<html><body></body></html>")
 FRAMES = "() => new Promise(drawn => requestAnimationFrame(() => requestAnimationFrame(drawn)))"
 
 
@@ -180,6 +182,27 @@ def test_the_space_bar_stops_whatever_has_the_focus_but_a_text_field(live, new_p
     page.get_by_text("STOPPED by the page").wait_for(state="detached")
     page.keyboard.press("1")
     until(lambda: memory.pressed(since)[0] == ["reset", "take_left"], SOON_S)
+
+
+@pytest.mark.parametrize("refusal", [None, 500])
+def test_the_stop_says_so_while_the_program_does_not_answer(browser, refusal):
+    answers = [refusal, 200]
+    context = browser.new_context(viewport=TINY)
+    page = context.new_page()
+
+    def answer(route):
+        status = answers.pop(0)
+        route.abort() if status is None else route.fulfill(status=status)
+
+    page.route("http://overlay.test/", lambda route: route.fulfill(body=OVERLAID, content_type="text/html"))
+    page.route("http://overlay.test/stop", answer)
+    page.goto("http://overlay.test/")
+    stop = page.locator("#stop-both-arms")
+    for text in ("NOT STOPPED: ", "STOP BOTH ARMS"):
+        stop.click()
+        sync_api.expect(stop).to_contain_text(text, timeout=1e3 * GRAB_S)
+    assert answers == []
+    context.close()
 
 
 def test_a_page_loads_nothing_from_elsewhere(live, browser):

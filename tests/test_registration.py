@@ -19,7 +19,6 @@ from gymnasium.spaces import Box
 import dual_ur10
 from dual_ur10 import envs, ids, policies
 from dual_ur10.envs import dm_env, parallel_env
-from dual_ur10.envs.api.sb3_bridge import JointVecEnv
 from dual_ur10.envs.core.follower import home_of
 from dual_ur10.envs.core.setup import load_task
 from dual_ur10.envs.tasks.sine_tracking.task import SineTracking
@@ -228,6 +227,13 @@ def test_tasks_of_installed_packages_are_found_by_an_unknown_name(installed):
         env_id_of("Wav1")
 
 
+def _joint_vec_env(name):
+    pytest.importorskip("stable_baselines3")
+    from dual_ur10.envs.api.sb3_bridge import JointVecEnv
+
+    return JointVecEnv(name, 1)
+
+
 @pytest.mark.parametrize(
     "name", ["Plugin/Wave-v0", "Plugin/Wave", "Wave-v0", "Wave", "wave_task:Plugin/Wave-v0", "wave_task:Wave"]
 )
@@ -238,7 +244,7 @@ def test_tasks_of_installed_packages_are_found_by_an_unknown_name(installed):
         lambda name: policies.make("scripted", name)[0].close(),
         lambda name: evaluate(name, "zero", episodes=1, env_kwargs={"duration_s": 0.12}),
         lambda name: parallel_env(name).close(),
-        lambda name: JointVecEnv(name, 1).close(),
+        lambda name: _joint_vec_env(name).close(),
         lambda name: check_policy(ZeroPolicy(Box(-1, 1, (12,), np.float32)), name, steps=1),
         lambda name: defaults(name, "bc"),
     ],

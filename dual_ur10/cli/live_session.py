@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from dual_ur10.cli.status_view import StatusView
     from dual_ur10.policies.operators.operator import Operator
 
-_GONE: Final = "the live page is gone: its process has ended"
+_GONE: Final = "the live page is gone: {}"
 _WATCH_S: Final = 0.04
 _IDLE_S: Final = 0.02
 _DROPPED_S: Final = 0.5  # a delay of a simulation beyond this is not made up for
@@ -70,7 +70,7 @@ class LiveSession:
         self._speed = 1.0
         self._observation: Any = None
         self._over = ""
-        self._stopped = ""
+        self._stopped = self._fault = ""
         self._paused = False
         self._single = False
 
@@ -88,15 +88,26 @@ class LiveSession:
         """Run until the time is over, or Ctrl-C.
 
         Raises:
-            RenderError: The page's process has ended. On controllers both arms have a latched stop: nobody could press
-                the button any more.
+            RenderError: The page's process has ended, or hangs. On controllers both arms have a latched stop: nobody
+                could press the button any more.
+            CellFaulted: It has ended after a latched stop of both arms.
         """
+        try:
+            self._loop(seconds)
+        except KeyboardInterrupt:
+            if not self._fault:
+                raise
+        if self._fault:
+            raise CellFaulted(self._fault)
+
+    def _loop(self, seconds: float | None) -> None:
         end_s = math.inf if seconds is None else time.monotonic() + seconds
         self.begin(self._seed)
         due_s = time.monotonic()
         while time.monotonic() < end_s:
-            if not self._page.is_running:
-                raise RenderError(self._core.stop(_GONE) or f"{_GONE}: start the program again")
+            if lost := self._page.lost:
+                gone = _GONE.format(lost)
+                raise RenderError(self._core.stop(gone) or f"{gone}: start the program again")
             self.shown.late_s = max(0.0, time.monotonic() - due_s)
             try:
                 moved = self.turn()
@@ -187,7 +198,7 @@ class LiveSession:
         """Show a latched stop, in the terminal too: perhaps no page is open."""
         if not self._stopped:
             errors.print(f"[bold red]error:[/] [red]{escape(text)}[/]", soft_wrap=True, highlight=False)
-        self._stopped = f"LATCHED: {text}"
+        self._stopped, self._fault = f"LATCHED: {text}", text
 
     def _switch(self, name: str) -> None:
         """Let another policy act in an environment that fits it, from the beginning of the episode on.
@@ -263,8 +274,8 @@ class WatchSession:
         begun_s = time.monotonic()
         step = 0
         while seconds is None or time.monotonic() < begun_s + seconds:
-            if not self._page.is_running:
-                raise RenderError(f"{_GONE}: start the program again")
+            if lost := self._page.lost:
+                raise RenderError(f"{_GONE.format(lost)}: start the program again")
             self.show(time.monotonic() - begun_s, step)
             step += 1
             time.sleep(_WATCH_S)

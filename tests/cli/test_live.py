@@ -18,7 +18,7 @@ from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.rendering.live.guard import bind
 from dual_ur10.envs.rendering.live.live_page import LivePage
 from dual_ur10.envs.rendering.live.memory import EPISODES, TAKES, Handles
-from dual_ur10.errors import DeviceGarbageError, RenderError, StartError
+from dual_ur10.errors import CellFaulted, DeviceGarbageError, RenderError, StartError
 from dual_ur10.policies import load
 from dual_ur10.policies.operators import page as page_module
 from dual_ur10.policies.operators.catalog import operator_with
@@ -340,7 +340,7 @@ def slept_in(driver, count, monkeypatch):
     stopped = types.SimpleNamespace(monotonic=lambda: 0.0, sleep=slept.append)
     with monkeypatch.context() as patch:
         patch.setattr("dual_ur10.cli.live_session.time", stopped)
-        patch.setattr(LivePage, "is_running", True)
+        patch.setattr(LivePage, "lost", "")
         patch.setattr(driver.session, "turn", turned)
         with pytest.raises(StopIteration):
             driver.session.run(None)
@@ -421,6 +421,11 @@ def test_a_button_latches_a_stop_of_a_virtual_cell(drive, monkeypatch, capsys):
         driver.press("reset")
         driver.turn(3)
         assert driver.session.shown.episode == 1  # a person clears it, not the page
+        with pytest.raises(CellFaulted, match="stopped: the button"):
+            driver.session.run(0.0)
+        monkeypatch.setattr(driver.session, "turn", interrupted)
+        with pytest.raises(CellFaulted, match="stopped: the button"):
+            driver.session.run(5.0)
 
 
 def test_a_page_that_is_gone_stops_both_arms_of_a_virtual_cell(drive, monkeypatch):
@@ -428,7 +433,7 @@ def test_a_page_that_is_gone_stops_both_arms_of_a_virtual_cell(drive, monkeypatc
 
     with VirtualCell() as cell:
         driver = drive(task="SineTracking", policy="scripted", cell=cell)
-        monkeypatch.setattr(LivePage, "is_running", False)
+        monkeypatch.setattr(LivePage, "lost", "its process has ended")
         with pytest.raises(RenderError, match="both arms were stopped: the live page is gone"):
             driver.session.run(5.0)
         assert "the live page is gone" in driver.core.cell.runner.cell.fault

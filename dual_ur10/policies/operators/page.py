@@ -50,10 +50,10 @@ class PageDevice:
         """Return the handles and the buttons.
 
         Raises:
-            DeviceUnpluggedError: The page's process has ended.
+            DeviceUnpluggedError: The page's process has ended, or hangs while it commands controllers.
         """
-        if not self.page.is_running:
-            raise DeviceUnpluggedError(f"{self.name} is gone: its process has ended. Start the program again")
+        if lost := self.page.lost:
+            raise DeviceUnpluggedError(f"{self.name} is gone: {lost}. Start the program again")
         handles = self.page.handles()
         return Reading(
             poses=handles.poses.copy(),

@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from typing import Final
 
-# An escape, also that of Alt; or a CSI or SS3 sequence, with the "[[" of the Linux console and the "$" of rxvt.
-# The stop key belongs to none: an "x" ends a sequence, and counts.
-_SEQUENCE: Final = re.compile(r"\x1b(?:(?:\[\[?|O)[0-?]{0,24}[$@-WY-wy-~]?)?")
+# An escape, also that of Alt; or a CSI or SS3 sequence, with the "[[" of the Linux console and the "$" of rxvt; or a
+# whole answer of a terminal, as about its colours. The stop key belongs to none: an "x" ends a sequence, and counts.
+_SEQUENCE: Final = re.compile(r"\x1b(?:(?:\[\[?|O)[0-?]{0,24}[$@-WY-wy-~]?|[]P^_][^xX\x07\x1b]{0,256}(?:\x07|\x1b\\))?")
 _UNFINISHED: Final = re.compile(r"\x1b(?:(?:\[\[?|O)[0-?]{0,24})?\Z")
 
 

@@ -28,7 +28,7 @@ from dual_ur10.envs.rendering.live.controllers import Controllers
 from dual_ur10.envs.rendering.live.drag_handles import DragHandles
 from dual_ur10.envs.rendering.live.guard import LOOPBACK, bind, make_server
 from dual_ur10.envs.rendering.live.history import History, Sending
-from dual_ur10.envs.rendering.live.live_page import LivePage
+from dual_ur10.envs.rendering.live.live_page import HANGS_S, LivePage
 from dual_ur10.envs.rendering.live.memory import (
     BUTTONS,
     EPISODES,
@@ -49,6 +49,7 @@ from dual_ur10.envs.rendering.live.viewpoints import CAMERA, NARROW_CAMERA, look
 from dual_ur10.errors import DeviceUnpluggedError, MissingExtraError, SettingsError
 from dual_ur10.policies.operators.device import checked
 from dual_ur10.policies.operators.page import PageDevice
+from dual_ur10.sim2real.processes.system import LOCAL
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
 from tests.policies.operators.rigs import RawPage
@@ -548,9 +549,22 @@ def test_a_killed_page_releases_the_clutch_and_is_named(about):
     assert page.handles().clutch.all()
     os.kill(page.pid, signal.SIGKILL)
     until(lambda: not page.handles().clutch.any())
-    until(lambda: not page.is_running)
+    until(lambda: page.lost)
     with pytest.raises(DeviceUnpluggedError, match="its process has ended"):
         PageDevice(page).read()
+    page.close()
+
+
+@pytest.mark.parametrize("unattended", [False, True])
+def test_a_page_that_hangs_while_it_commands_controllers_is_lost(about, unattended):
+    page = LivePage(dataclasses.replace(about, controllers=True, unattended=unattended), port=0)
+    page.wait_until_ready()
+    until(lambda: page.memory.beat_s)
+    assert not page.lost
+    os.kill(page.pid, signal.SIGSTOP)
+    page.memory.beat(LOCAL.clock.now_s() - HANGS_S - 1.0)
+    assert page.lost == ("" if unattended else "its process has shown no sign of life for 5 s")
+    os.kill(page.pid, signal.SIGKILL)
     page.close()
 
 
@@ -615,6 +629,16 @@ def test_a_stop_is_latched_without_the_program_for_each_page_that_knows_the_toke
     assert memory.stops == 1
     page.poll()
     assert "LATCHED" in found.words(0.0)["latch"]
+
+
+def test_a_stop_before_the_arms_are_known_is_latched_once_they_are(served, controllers, monkeypatch):
+    port, page, memory, _ = served
+    arms, cell, _ = controllers
+    monkeypatch.setattr(page, "_controllers", None)
+    assert _get(port, STOP_PATH, {"Cookie": f"dual_ur10_live_{port}=secret"})[0] == 200
+    memory.attach((arms[0].name, arms[1].name), cell.name)
+    page.poll()
+    assert "live page" in cell.fault
 
 
 def test_delays_and_skew_come_from_what_was_sent(controllers):

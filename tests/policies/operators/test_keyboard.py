@@ -89,6 +89,12 @@ def test_no_bytes_hide_the_stop_key(pieces):
     assert found.count("x") == b"".join(pieces).lower().count(b"x")
 
 
+def test_whole_answers_of_a_terminal_are_no_keys():
+    parser = TerminalKeys()
+    assert parser.keys(b"w\x1b]11;rgb:1e1e/1e1e/1e1e\x1b\\s\x1b]0;we\x07d\x1bP1$r0m\x1b\\") == "wsd"
+    assert parser.keys(b"\x1bPwas") == "pwas"  # typed, with Alt
+
+
 def test_no_stop_is_lost_among_keys_on_a_terminal():
     assert stops_lost(200, random.Random(0)) == 0  # of 10,000 in benchmarks/operators.py
 

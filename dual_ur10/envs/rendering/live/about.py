@@ -39,3 +39,8 @@ class About:
     def commands(self) -> bool:
         """True if a page may command."""
         return bool(self.buttons) or self.handles
+
+    @property
+    def attended(self) -> bool:
+        """True if arms of controllers move only while somebody can press a button of the page."""
+        return self.commands and self.controllers and not self.unattended

@@ -20,6 +20,9 @@ from dual_ur10.sim2real.processes.system import LOCAL, Process, System
 from dual_ur10.types import Array
 
 START_S: Final = 30.0
+HANGS_S: Final = 5.0
+"""Time without a sign of life of the process of a page that commands controllers. A first picture takes 1 s."""
+
 _END_S: Final = 3.0
 _POLL_S: Final = 0.01
 
@@ -45,7 +48,7 @@ class LivePage:
 
         if importlib.util.find_spec("viser") is None:
             raise MissingExtraError("viser", "live", "the live page")
-        self._clock = system.clock
+        self._clock, self._about = system.clock, about
         self._model = build_model(about.scene, visuals=False)
         self._data = mujoco.MjData(self._model)
         shape = self._model.nq, self._model.nmocap
@@ -136,9 +139,14 @@ class LivePage:
         return names if stops == self._stops else ["stop", *names]
 
     @property
-    def is_running(self) -> bool:
-        """True while the page's process lives."""
-        return self._process.is_alive
+    def lost(self) -> str:
+        """Reason why nobody can press a button of the page any more; "": somebody can."""
+        if not self._process.is_alive:
+            return "its process has ended"
+        beat_s = self.memory.beat_s
+        if beat_s and self._about.attended and self._clock.now_s() - beat_s > HANGS_S:
+            return f"its process has shown no sign of life for {HANGS_S:g} s"
+        return ""
 
     @property
     def pid(self) -> int:

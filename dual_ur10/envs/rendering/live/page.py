@@ -56,8 +56,7 @@ class Page:
     def __init__(self, server: Any, memory: LiveMemory, about: About, overlay: Overlay, system: System = LOCAL) -> None:
         self._server, self._memory, self._about, self._clock = server, memory, about, system.clock
         self.commander = Commander(memory, system.clock, asks=about.controllers)
-        required = about.commands and about.controllers and not about.unattended
-        self._attendance = Attendance(memory, system.clock, required=required)
+        self._attendance = Attendance(memory, system.clock, required=about.attended)
         model = build_model(about.scene)
         self._poser = Poser(model)
         self._poser.rest(home_q_rad(about.scene.mounts))
@@ -82,9 +81,9 @@ class Page:
 
     def _stop(self) -> None:
         """Latch a stop of both arms of controllers, without waiting for the program, which stops simulated arms."""
+        self.commander.stop()  # before the look at the controllers, which `poll` may just be attaching
         if self._controllers is not None:
             self._controllers.cell.enter_fault(STOPPED)
-        self.commander.stop()
 
     async def _enter(self, client: Any) -> None:
         if client.camera.aspect < NARROW:
@@ -104,6 +103,8 @@ class Page:
         self._polls += 1
         if self._controllers is None and (names := memory.attached) is not None:
             self._controllers = Controllers(names)
+            if memory.stops:  # pressed before their memories were known
+                self._controllers.cell.enter_fault(STOPPED)
         self._attendance.poll(self._controllers)
         rows, self._seen = memory.rows(self._seen)
         late_ms, skew_ms = (math.nan, math.nan) if self._controllers is None else self._controllers.sending.read()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -147,7 +148,7 @@ def compare(run_a: Run, run_b: Run) -> Comparison:
         timing=(timing(run_a), timing(run_b)),
         pairs=pairs,
         step_s=step_s,
-        notes=(*_notes(runs, mounts, count), *left_out),
+        notes=(*_notes(runs, mounts, count, [number for number, *_ in kept]), *left_out),
     )
 
 
@@ -286,12 +287,12 @@ def _vector(pairs: tuple[Pair, ...], *, free: bool) -> Spread:
     return spread(np.concatenate(found))
 
 
-def _notes(runs: tuple[Run, Run], mounts: tuple[Mounts, Mounts], count: int) -> list[str]:
+def _notes(runs: tuple[Run, Run], mounts: tuple[Mounts, Mounts], count: int, compared: Sequence[int]) -> list[str]:
     (a, b), notes = (each.header for each in runs), []
     for name, run in zip("AB", runs, strict=True):
         if not run.complete:
             notes.append(f"run {name} was cut off: all that is whole was compared")
-        notes += _stop_notes(name, run)
+        notes += _stop_notes(name, run, compared)
         notes += _clock_notes(name, run)
     if len(runs[0].episodes) != len(runs[1].episodes):
         numbers = " and ".join(str(len(each.episodes)) for each in runs)
@@ -320,8 +321,8 @@ def _notes(runs: tuple[Run, Run], mounts: tuple[Mounts, Mounts], count: int) -> 
     return notes
 
 
-def _stop_notes(name: str, run: Run) -> list[str]:
-    count = late_actions(run)
+def _stop_notes(name: str, run: Run, compared: Sequence[int]) -> list[str]:
+    count = late_actions(run, compared)
     if not count:
         return []
     what = "1 action missed its" if count == 1 else f"{count} actions missed their"

@@ -16,6 +16,7 @@ from dual_ur10.sim2real.analysis.series import interpolate, lag, smoothed, sprea
 from dual_ur10.sim2real.analysis.timing import LATE_S, ripple_of, timing
 from dual_ur10.sim2real.analysis.tracks import flange_of, track, tracks
 from dual_ur10.sim2real.recording.header import mounts_of
+from dual_ur10.sim2real.recording.run import LATE
 from tests.sim2real.analysis.made import DH, header, run, with_arm, with_stops
 from tests.soak import scaled
 
@@ -270,6 +271,15 @@ def test_after_a_stop_the_same_actions_are_compared(late: tuple[int, ...], laten
     word = "1 action missed its" if len(late) == 1 else f"{len(late)} actions missed their"
     assert f"run B: {word} deadline" in " ".join(found.notes)
     assert np.diff(tracks(with_stops(at=late), 0)[0].task_s).min() > 0.0
+
+
+def test_only_late_actions_of_compared_episodes_are_reported() -> None:
+    late = run(episodes=2)
+    firsts = late.episodes[1].first_target.copy()
+    firsts[[3, 40]] = LATE
+    late.episodes[1] = replace(late.episodes[1], first_target=firsts)
+    assert not [note for note in compare(run(), late).notes if "missed" in note]
+    assert any(note.startswith("run B: 2 actions missed") for note in compare(run(episodes=2), late).notes)
 
 
 def test_a_run_with_stops_is_read_to_its_end() -> None:

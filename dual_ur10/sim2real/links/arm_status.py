@@ -171,6 +171,8 @@ _STOPPING_BITS: Final = {
 
 _KNOWN_BITS: Final = int(SafetyBits.NORMAL | SafetyBits.REDUCED | sum(_STOPPING_BITS))
 
+_NOT_PLAYING: Final = "its program was stopped or paused from outside, or failed; the controller's log says which"
+
 # Plain numbers: operations on flags take several times as long, and every sample is checked.
 _NORMAL, _REDUCED = int(SafetyBits.NORMAL), int(SafetyBits.REDUCED)
 _FINE: Final = (_NORMAL,)
@@ -203,7 +205,7 @@ def stop_reason(status: ArmStatus, *, allow_reduced: bool = False, playing: bool
     if status.robot_bits & _TEACH_BUTTON:
         return f"robot status bits 0x{status.robot_bits:x}: freedrive button pressed"
     if playing and status.runtime_state != RuntimeState.PLAYING:
-        return f"program state {mode_name(RuntimeState, status.runtime_state)}"
+        return f"program state {mode_name(RuntimeState, status.runtime_state)}: {_NOT_PLAYING}"
     if not all(map(math.isfinite, (*status.q_rad, *status.qd_rad_s, status.slider, status.speed_scaling))):
         return "joint angles, joint speeds, slider or speed scaling that are not finite numbers"
     return None

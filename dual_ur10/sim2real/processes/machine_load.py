@@ -48,12 +48,15 @@ class StallWatch:
     def __init__(self, emulated: bool) -> None:
         self._emulated = emulated
         self._beat_s = math.inf
+        self._own_s = -math.inf  # end of the last stall of this process itself
         self._last_s = -math.inf
         self._longest_s = 0.0
         self._quickest: dict[int, tuple[float, float]] = {}  # arrival and offset of each controller's clock
 
     def beat(self, now_s: float) -> None:
         """Note that this process runs. A long time since the last call is a stall."""
+        if now_s - self._beat_s > SHORT_S:
+            self._own_s = now_s
         self.note(now_s - self._beat_s, now_s)
         self._beat_s = now_s
 
@@ -71,10 +74,20 @@ class StallWatch:
         self._quickest[arm] = arrival_s, least_s
         self.note(offset_s - least_s, arrival_s)
 
-    def controller_silent(self, age_s: float) -> str:
-        """Return the text about a controller whose time has not advanced for `age_s`."""
+    def controller_silent(self, age_s: float, other_s: float, now_s: float) -> str:
+        """Return the text about a controller whose time has not advanced for `age_s`.
+
+        One process of this machine emulates both controllers: while this machine is on time, the silence of one alone
+        has a cause of its own, as on real controllers.
+
+        Args:
+            age_s: Age of its newest state.
+            other_s: Age of the newest state of the other controller.
+            now_s: Time now.
+        """
         found = f"the controller's clock has stalled for {1e3 * age_s:.0f} ms"
-        return too_busy(found) if self._emulated else f"{found}; look at its network"
+        on_time = other_s <= SHORT_S and now_s - self._own_s > RECENT_S
+        return too_busy(found) if self._emulated and not on_time else f"{found}; look at its network"
 
     def process_silent(self, process: str, *, runs: bool, more: str = "") -> str:
         """Return the text about a process that does not respond.
@@ -91,7 +104,7 @@ class StallWatch:
         return too_busy(found) if self._emulated else found
 
     def explained(self, reason: str, now_s: float) -> str:
-        """Return the reason of a stop; on an emulated cell after a stall, the text about that."""
+        """Return the reason of a stop; on an emulated cell after a stall, the text about that, without other causes."""
         if self._emulated and now_s - self._last_s <= RECENT_S:
-            return too_busy(f"{reason}; it stalled for {1e3 * self._longest_s:.0f} ms")
+            return too_busy(f"{reason.partition(': ')[0]}; it stalled for {1e3 * self._longest_s:.0f} ms")
         return reason

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from dataclasses import dataclass
 from enum import IntEnum
@@ -284,6 +285,12 @@ class ArmMemory:
         """Newest state; None: none has come yet."""
         count = self._ints[_STATES]
         return ArmStatus.from_row(self._states[(count - 1) % RING]) if count else None
+
+    @property
+    def arrival_s(self) -> float:
+        """Arrival of the newest state; -inf: none has come yet."""
+        count = self._ints[_STATES]
+        return float(self._states[(count - 1) % RING, 0]) if count else -math.inf
 
     def close(self) -> None:
         """Release the memory. May be called twice."""

@@ -90,6 +90,12 @@ _REST_RAD_S: Final = 0.01
 _REST_S: Final = 0.5  # longest recording of states after a stop, until the arm rests
 
 
+def of_arm(name: str, text: str) -> str:
+    """Return a text that begins with the name of the arm that it is about, once."""
+    named = text.startswith(tuple(f"{each}: " for each in ARMS))
+    return text if named else f"{name}: {text.removeprefix(f'{name} arm, ')}"
+
+
 def root_cause(texts: Sequence[str]) -> str:
     """Return the root cause among stop reasons; skip those that only followed the other arm."""
     return next((each for each in texts if _ASKED not in each and _OTHER not in each), texts[0])
@@ -178,13 +184,13 @@ class ArmSender:
             self._stop(str(reason), on_path=not isinstance(reason, TargetError))
         except LinkError as error:
             # The state of the arm is unknown: send nothing more, and let the controller's watchdog end its program.
-            self.memory.enter(Phase.FAULTED, f"{self.name}: {error}")
+            self.memory.enter(Phase.FAULTED, of_arm(self.name, str(error)))
 
     def _settle(self) -> None:
         end = self._now_s() + 5.0
         while not self.clock.is_settled:
             if self._now_s() > end:
-                raise LinkError(f"{self.name}: the controller sent too little in 5 s to know its clock by")
+                raise LinkError("the controller sent too little in 5 s to know its clock by")
             self._kick()
             self._listen(self._now_s() + self.servoj.tick_s, playing=False)
 
@@ -265,7 +271,7 @@ class ArmSender:
         self._rate = np.zeros(6) if self._sent is None else (target_rad - self._sent) / periods
         self._sent, self._period, self._index = target_rad, period, index
         if not self.control.isConnected():
-            raise LinkError(f"{self.name}: ur_rtde has lost the controller; look at its network")
+            raise LinkError("ur_rtde has lost the controller; look at its network")
         self._sent_s = self._now_s()
         profile = self.servoj
         return self.control.servoJ(target_rad.tolist(), 0.0, 0.0, profile.tick_s, profile.lookahead_s, profile.gain)
@@ -334,9 +340,11 @@ class ArmSender:
                 self.memory.note_state(status)
                 if reason is not None:
                     raise StopError(reason)
-            age = self.link.age_s(self._now_s())
+            now = self._now_s()
+            age = self.link.age_s(now)
             if age > (WAITING_S if self._sent is None else STALE_S):
-                raise LinkError(self._stalls.controller_silent(age))
+                other_s = now - max((each.arrival_s for each in self.others), default=-math.inf)
+                raise LinkError(self._stalls.controller_silent(age, other_s, now))
 
     def _check_others(self, now: float) -> None:
         """Check the other processes.
@@ -377,20 +385,21 @@ class ArmSender:
             on_path: Stop along the path of its targets, as the other arm does, so that a held object is not torn;
                 otherwise along the current direction.
         """
-        self.memory.enter(Phase.STOPPING, f"{self.name}: {reason}")
+        text = of_arm(self.name, reason)
+        self.memory.enter(Phase.STOPPING, text)
         if self._sent is not None and self._now_s() - self._sent_s > MOST_LATE_S:
             # The watchdog has ended the program by now: nothing may be sent any more.
-            self.memory.enter(Phase.FAULTED, f"{self.name}: {reason}")
+            self.memory.enter(Phase.FAULTED, text)
             return
         try:
             taken = self._stop_by_any_path(on_path=on_path)
             self.control.servoStop(_STOP_RAD_S2)
             self.control.stopScript()
         except (LinkError, RuntimeError) as error:
-            self.memory.enter(Phase.FAULTED, f"{self.name}: {reason}; {_WHILE}: {error}")
+            self.memory.enter(Phase.FAULTED, f"{text}; {_WHILE}: {error}")
             return
         more = self._alone if taken else f"; {_WHILE}: its control script no longer took targets"
-        self.memory.enter(Phase.STOPPED, f"{self.name}: {reason}{more}")
+        self.memory.enter(Phase.STOPPED, f"{text}{more}")
         self._record_until_rest()
 
     def _stop_by_any_path(self, *, on_path: bool) -> bool:

@@ -171,7 +171,8 @@ class StreamMotion:
             sample, now_s = arm.link.latest, self._clock.now_s()
             age_s = arm.link.age_s(now_s)
             if sample is None or age_s > self._interval_s + _STALE_S:
-                raise LinkError(f"{arm.name}: {self._stalls.controller_silent(age_s)}")
+                other_s = self._arms[1 - number].link.age_s(now_s) - self._interval_s  # also without a stall
+                raise LinkError(f"{arm.name}: {self._stalls.controller_silent(age_s, other_s, now_s)}")
             values: Any = sample.values
             state = values[STATE]
             status = ArmStatus.from_sample(sample)

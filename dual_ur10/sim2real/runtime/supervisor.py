@@ -21,7 +21,7 @@ from dual_ur10.sim2real.links.rtde_link import RtdeLink
 from dual_ur10.sim2real.processes.machine_load import is_too_busy, too_busy
 from dual_ur10.sim2real.processes.system import LOCAL, Process, System
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
-from dual_ur10.sim2real.runtime.arm_sender import STALE_S, WAITING_S, root_cause
+from dual_ur10.sim2real.runtime.arm_sender import STALE_S, WAITING_S, of_arm, root_cause
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
 from dual_ur10.sim2real.runtime.latch import Latch
 from dual_ur10.sim2real.runtime.safety_monitor import PERIOD_S, MonitorSettings, SafetyMonitor
@@ -110,10 +110,11 @@ class Supervisor:
                     if reason is not None:
                         return reason
             except LinkError as error:
-                return f"{ARMS[arm]}: {error}"
-            age = link.age_s(self._clock.now_s())
+                return of_arm(ARMS[arm], str(error))
+            heard = self._clock.now_s()
+            age, other_s = link.age_s(heard), self._links[1 - arm].age_s(heard)
             if age > (STALE_S if self._monitor.moving else WAITING_S):
-                return f"{ARMS[arm]}: {self._monitor.stalls.controller_silent(age)}"
+                return f"{ARMS[arm]}: {self._monitor.stalls.controller_silent(age, other_s, heard)}"
         return self._monitor.relative_pose() or self._scale_time()
 
     def _gone(self) -> str | None:

@@ -1,5 +1,6 @@
 """Stalls of this machine, and the one text about them."""
 
+import math
 import re
 
 import pytest
@@ -17,7 +18,7 @@ def stalled(emulated, *, ago_s=0.0, for_s=2 * SHORT_S):
         now_s += 0.008
     now_s += for_s
     watch.beat(now_s)
-    return watch.explained("program state 1 (STOPPED)", now_s + ago_s)
+    return watch.explained("program state 1 (STOPPED): by somebody", now_s + ago_s)
 
 
 def test_a_stall_explains_what_follows_on_an_emulated_cell():
@@ -30,7 +31,7 @@ def test_a_stall_explains_what_follows_on_an_emulated_cell():
     ("emulated", "changed"), [(False, {}), (True, {"ago_s": 1.01 * RECENT_S}), (True, {"for_s": 0})]
 )
 def test_nothing_else_is_explained_by_it(emulated, changed):
-    assert stalled(emulated, **changed) == "program state 1 (STOPPED)"
+    assert stalled(emulated, **changed) == "program state 1 (STOPPED): by somebody"
 
 
 def test_the_longest_of_several_stalls_is_reported():
@@ -54,12 +55,25 @@ def test_a_controller_that_is_behind_shows_a_stall(behind_s, explained):
     assert (watch.explained("x", now_s + 0.1) != "x") == explained
 
 
-def test_a_silent_controller_is_a_matter_of_its_network_or_of_the_machine_it_runs_on():
-    assert (
-        StallWatch(False).controller_silent(0.106)
-        == "the controller's clock has stalled for 106 ms; look at its network"
-    )
-    assert StallWatch(True).controller_silent(0.106) == too_busy("the controller's clock has stalled for 106 ms")
+@pytest.mark.parametrize(
+    ("emulated", "other_s", "stalled_ago_s", "busy"),
+    [
+        (False, 0.106, 0.0, False),
+        (True, 0.106, math.inf, True),  # one process emulates both
+        (True, 0.9 * SHORT_S, math.inf, False),
+        (True, 0.9 * SHORT_S, 0.9 * RECENT_S, True),
+        (True, 0.9 * SHORT_S, 1.1 * RECENT_S, False),
+    ],
+)
+def test_one_silent_controller_is_named_where_this_machine_was_on_time(emulated, other_s, stalled_ago_s, busy):
+    watch = StallWatch(emulated)
+    if stalled_ago_s < math.inf:
+        watch.beat(100.0 - stalled_ago_s - 2 * SHORT_S)
+        watch.beat(100.0 - stalled_ago_s)
+    watch.note(0.106, 100.0)  # of the silent one
+    found = "the controller's clock has stalled for 106 ms"
+    expected = too_busy(found) if busy else f"{found}; look at its network"
+    assert watch.controller_silent(0.106, other_s, 100.0) == expected
 
 
 @pytest.mark.parametrize("emulated", [False, True])

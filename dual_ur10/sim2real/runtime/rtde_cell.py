@@ -12,7 +12,7 @@ import math
 import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
-from typing import Any, Final
+from typing import Any, Final, NoReturn
 
 import numpy as np
 
@@ -38,7 +38,7 @@ from dual_ur10.sim2real.runtime.mirror_model import MirrorModel
 from dual_ur10.sim2real.runtime.path_to_start import AHEAD_TICKS, PathToStart, StalledError
 from dual_ur10.sim2real.runtime.runner import Runner, least_latency_ticks
 from dual_ur10.sim2real.runtime.target_writer import TargetWriter
-from dual_ur10.sim2real.runtime.tracking import TemperatureWarning
+from dual_ur10.sim2real.runtime.tracking import PayloadWarning, TemperatureWarning
 from dual_ur10.types import Array, Rows
 
 log = logging.getLogger(__name__)
@@ -119,7 +119,7 @@ class RtdeCell:
         self._origin: int | None = None  # number of the target of tick 0 of the episode
         self._elapsed = 0
         self._paused = False  # no command was due since the last one
-        self._temperature = [TemperatureWarning(name) for name in ARMS]
+        self._warnings = [(TemperatureWarning(name), PayloadWarning(name)) for name in ARMS]
         self._grippers: Grippers | None = None
         self._trackers: dict[str, ObjectTracker] = {}
         self._frames = Frames((config.left, config.right))
@@ -274,8 +274,7 @@ class RtdeCell:
         """Send the targets of [now + L, now + L + period), and return the state at now + period, in real time.
 
         Raises:
-            CellFaulted: Both arms are stopped.
-            LinkError: A gripper or the object tracker was lost. Both arms make a latched stop.
+            CellFaulted: Both arms have a latched stop, also because a gripper or an object tracker was lost.
         """
         runner = self._open
         runner.check()
@@ -296,8 +295,17 @@ class RtdeCell:
             runner.wait_for(end)
             return CellStep(self._state(runner.statuses_after(end)), first_target=first)
         except (LinkError, ClosedError) as error:
-            runner.stop(str(error))
-            raise
+            self._stop_without_equipment(runner, error)
+
+    def _stop_without_equipment(self, runner: Runner, error: DualUR10Error) -> NoReturn:
+        """Make a latched stop of both arms, whose gripper or object tracker has failed.
+
+        Raises:
+            CellFaulted: Always, but for a cell that was closed meanwhile.
+        """
+        runner.stop(str(error))
+        runner.check()
+        raise error
 
     def _grip(self, runner: Runner, first: int, width_m: Array) -> None:
         """Command gripper widths for the time of target `first`; none while the speed sliders stop time."""
@@ -325,8 +333,7 @@ class RtdeCell:
         try:
             return CellStep(self._state(runner.statuses()), rest[None], late=True, first_target=first)
         except LinkError as error:
-            runner.stop(str(error))
-            raise
+            self._stop_without_equipment(runner, error)
 
     def finish(self) -> None:
         """End the episode: both arms stop along the brake that follows their targets."""
@@ -475,8 +482,9 @@ class RtdeCell:
 
     def _state(self, statuses: Sequence[ArmStatus]) -> CellState:
         """Return the measured state in task time."""
-        for warn, status in zip(self._temperature, statuses, strict=True):
-            warn(status)
+        for warnings, status in zip(self._warnings, statuses, strict=True):
+            for warn in warnings:
+                warn(status)
         slow = self.file.speed_factor
         q, qd = (np.array([getattr(each, name) for each in statuses]) for name in ("q_rad", "qd_rad_s"))
         widths = wrench = None

@@ -32,6 +32,8 @@ _TRANSIT_S: Final = 0.06  # longest time from sending a target to its effect
 _SLACK_RAD: Final = 0.005  # of a controller's target, besides overshoot
 _PATH_S: Final = 0.5  # of targets, before those of the lag, where a controller with a slow network may be
 
+_BESIDE_RAD: Final = 1e-3  # from a straight path, of a controller's target that is only late
+
 _BETWEEN: Final = 8  # points of that path per target
 _NEXT: Final = 0.99  # numbers from one target to the next, but for drifting clocks
 
@@ -98,6 +100,8 @@ class Following:
     def __init__(self, servoj: ServojProfile) -> None:
         lag_s, overshoot_rad = _lag_and_overshoot(servoj)
         periods = math.ceil((lag_s + _TRANSIT_S) / servoj.tick_s)
+        # Second-order term by which the law differs from a pure delay, per second difference of the targets.
+        self._cut = abs(servoj.lookahead_s**2 / 2.0 - 1.0 / servoj.gain) / servoj.tick_s**2
         self._slack_rad = _SLACK_RAD + overshoot_rad
         self._allowed = (self._slack_rad,) * 6
         self._recent: deque[Sequence[float]] = deque(maxlen=1 + periods)
@@ -139,11 +143,16 @@ class Following:
         return f"{reason}: {_REPLACED if self._is_off_path(target) else _NOT_FOLLOWING}"
 
     def _is_off_path(self, target_rad: Sequence[float]) -> bool:
-        """Return True if a controller's target is near no point of the last path sent; False if it is no number."""
+        """Return True if a controller's target is near no point of the last path sent; False if it is no number.
+
+        A late controller remains on the path, but for the corners that its law cuts: that shows slow programs, too.
+        """
         path = np.array([*self._path, self._newest])
+        curved = float(np.abs(np.diff(path, n=2, axis=0)).max(initial=0.0))
+        beside_rad = min(self._slack_rad, _BESIDE_RAD + self._cut * curved)
         share = np.arange(_BETWEEN)[:, None, None] / _BETWEEN
         dense = np.concatenate([(path[:-1] + share * np.diff(path, axis=0)).reshape(-1, 6), path[-1:]])
-        return bool(np.abs(dense - target_rad).max(axis=1).min() > self._slack_rad)
+        return bool(np.abs(dense - target_rad).max(axis=1).min() > beside_rad)
 
 
 def _lag_and_overshoot(servoj: ServojProfile) -> tuple[float, float]:
@@ -175,6 +184,30 @@ def _outside(target_rad: Sequence[float], sent_rad: Sequence[Sequence[float]]) -
 def _distances(first: Sequence[float] | Array, second: Sequence[float]) -> list[float]:
     # Six plain numbers: an array for so few takes ten times as long, in every control period.
     return [abs(one - other) for one, other in zip(first, second, strict=True)]
+
+
+class PayloadWarning:
+    """Warns of a payload that something sets while this program moves the arm: a start compared it with the cell file.
+
+    Args:
+        name: Arm.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._payload_kg: float | None = None
+
+    def __call__(self, status: ArmStatus) -> None:
+        """Check a state."""
+        before_kg, self._payload_kg = self._payload_kg, status.payload_kg
+        if before_kg is not None and status.payload_kg is not None and before_kg != status.payload_kg:
+            log.warning(
+                "%s: the payload that is set on its controller changed from %g to %g kg: another program or person set "
+                "it. A wrong one causes tracking errors and protective stops",
+                self._name,
+                before_kg,
+                status.payload_kg,
+            )
 
 
 class TemperatureWarning:

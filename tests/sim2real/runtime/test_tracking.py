@@ -9,7 +9,7 @@ import pytest
 
 from dual_ur10.kinematics.ur10 import JOINTS
 from dual_ur10.sim2real.control.servoj import ServojLaw, ServojProfile
-from dual_ur10.sim2real.runtime.tracking import DEVIATION_RAD, Deviation, Following, Tracking
+from dual_ur10.sim2real.runtime.tracking import DEVIATION_RAD, Deviation, Following, PayloadWarning, Tracking
 from tests.sim2real.statuses import status_of
 
 HOME = np.array([0.1, -1.2, 1.5, -1.8, -1.5, 0.3])
@@ -198,6 +198,29 @@ def test_a_controller_that_is_late_was_not_replaced(profile):
     reason = [following(state(path[0])) for _ in range(3)][2]
     assert "the controller does not follow" in reason
     assert following.lost
+
+
+@pytest.mark.parametrize("profile", PROFILES[:2])
+@pytest.mark.parametrize("speed", [0.05, 0.3])
+def test_another_program_is_named_however_slow_it_is(profile, speed):
+    """It moves one joint; the arm moved at 0.4 rad/s and stays behind."""
+    following, path = Following(profile), wave(profile, 0.4)
+    begin = round(0.6 / profile.tick_s)
+    for number, target in enumerate(path):
+        following.sent(target.tolist(), number)
+        if number > begin:
+            other = off(0, speed * profile.tick_s * (number - begin), path[begin])
+            if reason := following(state(other)):
+                break
+    assert "another program replaced the control script" in reason
+
+
+def test_a_payload_that_changes_in_motion_is_noted_once(caplog):
+    note = PayloadWarning("left")
+    for payload_kg in (None, 2.3, 2.3, 6.0, 6.0):
+        note(status_of(payload=payload_kg))
+    (record,) = caplog.records
+    assert record.getMessage().startswith("left: the payload that is set on its controller changed from 2.3 to 6 kg")
 
 
 def test_a_deviation_of_the_arm_is_noticed_too():

@@ -187,10 +187,13 @@ def assert_replaced(lab, arm, line, *words, port=30003):
     lab.assert_stopped(error, f"{arm}: ", *words, seen_ticks=REPLACED_TICKS, ramped=[other(arm)])
 
 
-@pytest.mark.parametrize(("arm", "port", "by_rad"), [("left", 30003, [0.5] * 6), ("right", 30001, [-0.5])])
-def test_63_another_program_that_moves_an_arm_stops_both(lab, arm, port, by_rad):
+@pytest.mark.parametrize(
+    ("arm", "port", "by_rad", "v"), [("left", 30003, [0.5] * 6, 0.3), ("right", 30001, [-0.5], 0.05)]
+)
+def test_63_another_program_that_moves_an_arm_stops_both(lab, arm, port, by_rad, v):
     lab.begin()
-    assert_replaced(lab, arm, movej(lab, arm, *by_rad), "another program replaced the control script", port=port)
+    line = movej(lab, arm, *by_rad, v=v)
+    assert_replaced(lab, arm, line, "another program replaced the control script", port=port)
 
 
 def test_63_another_program_that_moves_an_arm_at_rest_stops_both(lab):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import traceback
 from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib import import_module
@@ -18,7 +19,9 @@ from dual_ur10.ids import __version__
 from dual_ur10.sim2real.processes.interrupts import begin_program, end_interrupted
 
 USAGE_ERROR = 2
-"""Exit code of every error of this package."""
+"""Exit code of every error of this package, and of a policy's exception that made a latched stop."""
+
+_STOPPED: Final = "both arms were stopped"
 
 
 _COMMANDS: Final[dict[str, dict[str, str]]] = {
@@ -129,6 +132,11 @@ class _Commands(_Group):
             raise typer.Exit(USAGE_ERROR) from None
         except KeyboardInterrupt:
             end_interrupted()
+        except Exception as error:
+            if not any(_STOPPED in note for note in getattr(error, "__notes__", ())):
+                raise
+            traceback.print_exception(error)  # its last line is the note, which says how to go on
+            raise typer.Exit(USAGE_ERROR) from None
 
 
 class _Shown(logging.Handler):

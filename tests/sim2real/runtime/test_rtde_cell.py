@@ -14,15 +14,18 @@ from dual_ur10.errors import (
     CellBusyError,
     CellFaulted,
     ClosedError,
+    LinkError,
     ResetNeededError,
     SettingsError,
     StartError,
     UnknownNameError,
 )
+from dual_ur10.policies.evaluation import rollout as evaluation
 from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.processes.garbage import GarbageCollector
 from dual_ur10.sim2real.runtime.approach import Approach, Rates
 from dual_ur10.testing import VirtualCell
+from tests.cli.command import run
 from tests.parity import handed_over
 from tests.sim2real.control.motion_checks import HARD
 
@@ -424,6 +427,36 @@ def test_a_slider_at_zero_moves_no_gripper_and_raises_nothing(bench):
     raised.join()
     assert bench.cell.now_s - begin_s > 2.0
     assert not bench.cell.fault
+
+
+def test_a_fault_of_the_equipment_says_that_the_stop_is_latched_and_how_to_go_on(bench, monkeypatch):
+    env = bench.make()
+    env.reset(seed=0)
+
+    def lost(statuses):
+        raise LinkError("left arm, Robotiq gripper at 127.0.0.2:63352: no answer in time; check it")
+
+    monkeypatch.setattr(bench.core.cell, "_state", lost)
+    for _ in range(2):  # the fault persists
+        with pytest.raises(CellFaulted, match=r"both arms were stopped: left arm, Robotiq .* Check both.*\.clear\(\)"):
+            env.step(still(env))
+    assert "no answer in time" in bench.cell.fault
+
+
+def test_a_policy_that_fails_in_a_rollout_has_the_exit_code_of_a_latched_stop(monkeypatch, capsys):
+    class Failing:
+        def reset(self):
+            pass
+
+        def __call__(self, observation):
+            raise ZeroDivisionError("of this policy")
+
+    monkeypatch.setattr(evaluation, "as_policy", lambda policy: Failing())
+    code, text = run("rollout", "SineTracking", "--cell", "virtual", "-n", "1", "--no-record")
+    assert code == 2
+    lines = (text + capsys.readouterr().err).splitlines()
+    assert any("ZeroDivisionError: of this policy" in line for line in lines)
+    assert lines[-1].startswith("both arms were stopped: the policy failed: ZeroDivisionError")
 
 
 def test_an_interrupted_close_can_be_done_again(bench, monkeypatch):

@@ -99,7 +99,7 @@ def judge(
 
 def link_failure(arm: str, name: str, error: LinkError) -> Finding:
     """Return the finding of a link that failed. Messages of links end with their remedy."""
-    found, _, remedy = str(error).rpartition("; ")
+    found, _, remedy = str(error).removeprefix(f"{arm} arm, ").rpartition("; ")
     return Finding(arm, name, "fail", found or remedy, "an answer", remedy)
 
 

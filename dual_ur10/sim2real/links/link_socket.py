@@ -53,6 +53,7 @@ class LinkSocket(Closing):
         host: IPv4 address.
         port: Port number.
         deadline_s: Deadline of the connection, on the system's clock.
+        late: Remedy where it does not answer in time.
         system: Clock and network.
 
     Attributes:
@@ -64,11 +65,19 @@ class LinkSocket(Closing):
     """
 
     def __init__(
-        self, name: str, service: str, host: str, port: int, deadline_s: float, *, system: System = LOCAL
+        self,
+        name: str,
+        service: str,
+        host: str,
+        port: int,
+        deadline_s: float,
+        *,
+        late: str = "check that the controller is up and not overloaded, and the network",
+        system: System = LOCAL,
     ) -> None:
         host = check_host(host)
         self.where = f"{name + ' arm, ' if name else ''}{service} at {host}:{port}"
-        self._clock = system.clock
+        self._clock, self._remedy = system.clock, late
         self._transport: Transport | None = None
         try:
             self._transport = system.connect(host, port, self._left(deadline_s))
@@ -91,7 +100,7 @@ class LinkSocket(Closing):
         return left
 
     def _late(self) -> LinkError:
-        return self.error(NO_ANSWER, "check that the controller is up and not overloaded, and the network")
+        return self.error(NO_ANSWER, self._remedy)
 
     @property
     def _open(self) -> Transport:

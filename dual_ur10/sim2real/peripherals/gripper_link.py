@@ -288,7 +288,8 @@ class RobotiqLink(SocketClient, GripperLink):
         self._clock, self.tool = system.clock, tool
         self._force = force_counts(tool.force_n[0] if force_n is None else force_n, tool)
         deadline_s = self._clock.now_s() + check_timeout(timeout_s)
-        self._socket = LinkSocket(name, "Robotiq gripper", host, port, deadline_s, system=system)
+        late = "check the tool's power, the gripper's cable, and that its URCap runs on the controller"
+        self._socket = LinkSocket(name, "Robotiq gripper", host, port, deadline_s, late=late, system=system)
         self._rest = b""
         self._commanded: int | None = None
         with self._socket.closed_on_error():

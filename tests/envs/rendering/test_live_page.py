@@ -612,6 +612,7 @@ def test_the_latch_and_the_supervisor_are_said_in_words(controllers):
     assert found.words(100.1)["latch"] == "open, arms may move"
     cell.enter_fault("a test")
     assert found.words(100.1)["latch"] == "LATCHED: a test"
+    assert found.words(103.0)["supervisor"] == "ended with the stop"
 
 
 def test_a_stop_is_latched_without_the_program_for_each_page_that_knows_the_token(served, controllers):

@@ -29,6 +29,8 @@ class Controllers:
             supervisor = "starts"
         elif age_s < 1.0:
             supervisor = f"watches both arms, time scaling {100 * cell.time_scaling.goal:.0f} %"
+        elif cell.fault:
+            supervisor = "ended with the stop"
         else:
             supervisor = f"no sign of life for {age_s:.1f} s"
         found = {"supervisor": supervisor, "latch": f"LATCHED: {cell.fault}" if cell.fault else "open, arms may move"}

@@ -52,7 +52,7 @@ NOT_REPORTED = "not reported by this software"
 _CORES: dict[tuple[Family, bool], float] = {
     ("cb3", False): 0.25,
     ("cb3", True): 0.35,
-    ("e-series", False): 0.5,
+    ("e-series", False): 0.6,
     ("e-series", True): 0.8,
 }
 """Processor cores that two arms take in motion, rounded up, by family and whether they are emulated; without what an

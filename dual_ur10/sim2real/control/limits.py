@@ -142,7 +142,11 @@ class MotionLimits:
         ):
             value = np.asarray(getattr(self, name))
             if not (np.isfinite(value).all() and (value > 0).all() and (value <= hard).all()):
-                raise SettingsError(f"limit {name} is {getattr(self, name)}: it must be above 0 and at most {hard}")
+                whose = f" for {' and '.join(dict.fromkeys(self.robots))}; `robots` names other models"
+                raise SettingsError(
+                    f"limit {name} is {getattr(self, name)}: it must be above 0 and at most {hard}"
+                    f"{whose if name == 'speed_rad_s' else ''}"
+                )
         object.__setattr__(self, "tcp_m", checked_tcp(self.tcp_m))
         lower, upper = np.asarray(self.lower_rad), np.asarray(self.upper_rad)
         if not ((lower >= -ur10.JOINT_RANGE_RAD) & (upper <= ur10.JOINT_RANGE_RAD) & (lower < upper)).all():

@@ -382,6 +382,11 @@ class RtdeCell:
         left, right = self._open.arms
         return left.name, right.name
 
+    @property
+    def live_view(self) -> tuple[str, ...]:
+        """Path of the view of a live page's process, and the names of the memories that it reads."""
+        return "dual_ur10.sim2real.runtime.live_view:LiveView", *self.memory_names, self._open.cell.name
+
     def record(self) -> None:
         """Do nothing: the arms' memories hold the record."""
 

@@ -24,10 +24,9 @@ from dual_ur10.envs.core.core import Core
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.rendering.live.about import About
 from dual_ur10.envs.rendering.live.commander import GRIP_S, Commander
-from dual_ur10.envs.rendering.live.controllers import Controllers
 from dual_ur10.envs.rendering.live.drag_handles import DragHandles
 from dual_ur10.envs.rendering.live.guard import LOOPBACK, bind, make_server
-from dual_ur10.envs.rendering.live.history import History, Sending
+from dual_ur10.envs.rendering.live.history import History
 from dual_ur10.envs.rendering.live.live_page import HANGS_S, LivePage
 from dual_ur10.envs.rendering.live.memory import (
     BUTTONS,
@@ -52,6 +51,7 @@ from dual_ur10.policies.operators.page import PageDevice
 from dual_ur10.sim2real.processes.system import LOCAL
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
+from dual_ur10.sim2real.runtime.live_view import LiveView
 from tests.policies.operators.rigs import RawPage
 from tests.waiting import until
 
@@ -593,11 +593,13 @@ def _runs(pid):
 
 # Cells of controllers.
 
+VIEW = "dual_ur10.sim2real.runtime.live_view:LiveView"
+
 
 @pytest.fixture
 def controllers():
     arms, cell = (ArmMemory(), ArmMemory()), CellMemory()
-    yield arms, cell, Controllers((arms[0].name, arms[1].name, cell.name))
+    yield arms, cell, LiveView(arms[0].name, arms[1].name, cell.name)
     for each in (*arms, cell):
         each.close()
 
@@ -618,7 +620,7 @@ def test_the_latch_and_the_supervisor_are_said_in_words(controllers):
 def test_a_stop_is_latched_without_the_program_for_each_page_that_knows_the_token(served, controllers):
     port, page, memory, _ = served
     arms, cell, found = controllers
-    memory.attach((arms[0].name, arms[1].name), cell.name)
+    memory.attach((VIEW, arms[0].name, arms[1].name, cell.name))
     page.poll()
     cookie = {"Cookie": f"dual_ur10_live_{port}=secret"}
     assert b"STOP BOTH ARMS" in _get(port, "/index.html", {**cookie, "Accept-Encoding": "gzip"})[2]
@@ -635,22 +637,21 @@ def test_a_stop_is_latched_without_the_program_for_each_page_that_knows_the_toke
 def test_a_stop_before_the_arms_are_known_is_latched_once_they_are(served, controllers, monkeypatch):
     port, page, memory, _ = served
     arms, cell, _ = controllers
-    monkeypatch.setattr(page, "_controllers", None)
+    monkeypatch.setattr(page, "_arms", None)
     assert _get(port, STOP_PATH, {"Cookie": f"dual_ur10_live_{port}=secret"})[0] == 200
-    memory.attach((arms[0].name, arms[1].name), cell.name)
+    memory.attach((VIEW, arms[0].name, arms[1].name, cell.name))
     page.poll()
     assert "live page" in cell.fault
 
 
 def test_delays_and_skew_come_from_what_was_sent(controllers):
     arms, _, found = controllers
-    sending = Sending(found.arms)
     for period in range(3):
         arms[0].note_sent(period, period, 1.0 + period, 0.001, np.zeros(6))
         arms[1].note_sent(period, period, 1.0005 + period, 0.002, np.zeros(6))
-    late_ms, skew_ms = sending.read()
+    late_ms, skew_ms = found.sending()
     assert (late_ms, skew_ms) == (pytest.approx(2.0), pytest.approx(0.5))
-    assert all(map(np.isnan, sending.read()))
+    assert all(map(np.isnan, found.sending()))
 
 
 def test_plots_show_errors_and_speeds(memory):

@@ -4,9 +4,9 @@ import pytest
 
 from dual_ur10.envs.rendering.live.attendance import UNATTENDED_S, Attendance
 from dual_ur10.envs.rendering.live.commander import Commander
-from dual_ur10.envs.rendering.live.controllers import Controllers
 from dual_ur10.envs.rendering.live.memory import LiveMemory
 from dual_ur10.errors import CellFaulted
+from dual_ur10.ids import load_object
 
 MOST_S = UNATTENDED_S + 0.3
 
@@ -16,8 +16,9 @@ class Pages:
 
     def __init__(self, lab, required=True):
         self.lab, self.memory = lab, LiveMemory(1, 0)
-        cell = lab.env.unwrapped.core.cell
-        self.controllers = Controllers((*cell.memory_names, cell.runner.cell.name))
+        self.cell = lab.env.unwrapped.core.cell
+        path, *names = self.cell.live_view
+        self.view = load_object(path, "a view", registered=True)(*names)
         self.attendance = Attendance(self.memory, lab.clock, required=required)
         self.commander = Commander(self.memory, lab.clock, asks=True)
 
@@ -26,8 +27,8 @@ class Pages:
         begun_s = self.lab.clock.now_s()
         try:
             while self.lab.clock.now_s() < begun_s + for_s:
-                self.attendance.poll(self.controllers)
-                if self.controllers.cell.fault:
+                self.attendance.poll(self.view)
+                if self.cell.runner.cell.fault:
                     self.lab.note()
                 self.lab.env.step(self.lab.policy())
         except CellFaulted as error:
@@ -35,7 +36,7 @@ class Pages:
         return None, for_s
 
     def close(self):
-        self.controllers.close()
+        self.view.close()
         self.memory.close()
 
 
@@ -65,8 +66,8 @@ def test_64_arms_at_rest_and_arms_that_may_be_unattended_have_no_stop(lab, pages
     lab.env.unwrapped.core.cell.finish()  # the episode is over
     for _ in range(2):
         lab.clock.sleep(MOST_S)
-        pages.attendance.poll(pages.controllers)
-    assert not pages.controllers.cell.fault
+        pages.attendance.poll(pages.view)
+    assert not pages.cell.runner.cell.fault
     lab.reset(seed=0)
     allowed = Pages(lab, required=False)
     assert allowed.step(MOST_S)[0] is None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from dual_ur10.envs.rendering.live.controllers import Controllers
+from dual_ur10.envs.rendering.live.arms_view import ArmsView
 from dual_ur10.envs.rendering.live.memory import LiveMemory
 from dual_ur10.sim2real.processes.clock import Clock
 
@@ -30,10 +30,10 @@ class Attendance:
         self._memory, self._clock, self._required = memory, clock, required
         self._open_s = clock.now_s()  # last time at which a page was open
 
-    def poll(self, controllers: Controllers | None) -> None:
+    def poll(self, arms: ArmsView | None) -> None:
         """Latch a stop of both arms if they move, and nobody has had a page open for `UNATTENDED_S`."""
         now_s = self._clock.now_s()
         if self._memory.pages or not self._required:
             self._open_s = now_s
-        elif controllers is not None and controllers.owe_motion and now_s - self._open_s > UNATTENDED_S:
-            controllers.cell.enter_fault(UNATTENDED)
+        elif arms is not None and arms.owe_motion and now_s - self._open_s > UNATTENDED_S:
+            arms.stop(UNATTENDED)

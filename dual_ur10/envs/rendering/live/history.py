@@ -1,4 +1,4 @@
-"""Series of a live page's plots, from the rows of the program and the records of both senders."""
+"""Series of a live page's plots, from the rows of the program and the delays of both senders."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from dual_ur10.envs.rendering.live.memory import Row
-from dual_ur10.sim2real.runtime.arm_memory import ArmMemory
 from dual_ur10.types import Array
 
 SHOWN_S: Final = 20.0
@@ -37,34 +36,6 @@ class Point(NamedTuple):
     spare_mm: float
     late_ms: float
     skew_ms: float
-
-
-class Sending:
-    """Delays of sending targets to two controllers.
-
-    Args:
-        memories: Memories of both arms.
-    """
-
-    def __init__(self, memories: tuple[ArmMemory, ArmMemory]) -> None:
-        self._memories = memories
-        self._seen = [memory.sent_count for memory in memories]
-        self._unmatched: list[dict[int, float]] = [{}, {}]
-
-    def read(self) -> tuple[float, float]:
-        """Return the largest delay and the largest skew since the last call, ms; NaN: nothing was sent."""
-        late = math.nan
-        for arm, memory in enumerate(self._memories):
-            sent, self._seen[arm] = memory.sent(self._seen[arm])
-            if len(sent.late_s):
-                late = float(np.fmax(late, 1e3 * sent.late_s.max()))
-            self._unmatched[arm].update(zip(sent.period.astype(int).tolist(), sent.sent_s.tolist(), strict=True))
-        left, right = self._unmatched
-        both = left.keys() & right.keys()
-        skew = max((1e3 * abs(left[each] - right[each]) for each in both), default=math.nan)
-        newest = max((*both, -1))
-        self._unmatched = [{period: at for period, at in each.items() if period > newest} for each in (left, right)]
-        return late, skew
 
 
 class History:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import secrets
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -91,13 +91,13 @@ class LivePage:
                 raise RenderError("the live page has ended before it was opened: start the program again")
             self._clock.sleep(_POLL_S)
 
-    def attach(self, cell: Any) -> None:
-        """Let the page read the memories of a cell of two controllers.
+    def attach(self, view: Sequence[str]) -> None:
+        """Let the page read and stop arms of controllers.
 
         Args:
-            cell: `dual_ur10.sim2real.runtime.rtde_cell.RtdeCell`.
+            view: Path of an `ArmsView`, and the strings to make it of.
         """
-        self.memory.attach(cell.memory_names, cell.runner.cell.name)
+        self.memory.attach(view)
 
     def show(self, core: Any, q_rad: Array, scalars: Mapping[str, float]) -> None:
         """Write the state after a reset or a step of the first cell of a core.

@@ -7,7 +7,7 @@ stays whole until the ring comes round to it, so that nobody waits for a reader.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -169,9 +169,9 @@ class LiveMemory:
         self._ints[_WORDS] = count + 1
         self._said = text
 
-    def attach(self, arms: tuple[str, str], cell: str) -> None:
-        """Name the memories of both arms and of the cell of controllers, once it is connected."""
-        self._block.set_text("attached", json.dumps([*arms, cell]))
+    def attach(self, view: Sequence[str]) -> None:
+        """Name the view of arms of controllers, and what it is made of, once they are connected; see `ArmsView`."""
+        self._block.set_text("attached", json.dumps(list(view)))
         self._ints[_ATTACHED] = 1
 
     def end(self) -> None:
@@ -289,12 +289,9 @@ class LiveMemory:
         return found
 
     @property
-    def attached(self) -> tuple[str, str, str] | None:
-        """Names of the memories of the left arm, the right arm and the cell; None: there are none yet."""
-        if not self._ints[_ATTACHED]:
-            return None
-        left, right, cell = json.loads(self._block.text("attached"))
-        return left, right, cell
+    def attached(self) -> tuple[str, ...]:
+        """View of the arms, as `attach` was given it; empty: none yet."""
+        return tuple(json.loads(self._block.text("attached"))) if self._ints[_ATTACHED] else ()
 
     @property
     def beat_s(self) -> float:

@@ -11,9 +11,9 @@ from typing import Any, Final
 from dual_ur10.assets.scene import build_model
 from dual_ur10.assets.settings import home_q_rad
 from dual_ur10.envs.rendering.live.about import About
+from dual_ur10.envs.rendering.live.arms_view import ArmsView
 from dual_ur10.envs.rendering.live.attendance import Attendance
 from dual_ur10.envs.rendering.live.commander import Commander
-from dual_ur10.envs.rendering.live.controllers import Controllers
 from dual_ur10.envs.rendering.live.drag_handles import DragHandles
 from dual_ur10.envs.rendering.live.drawing import Drawing, Pictures
 from dual_ur10.envs.rendering.live.guard import address, bind, make_server
@@ -24,6 +24,7 @@ from dual_ur10.envs.rendering.live.plots import Plots
 from dual_ur10.envs.rendering.live.scene import Poser
 from dual_ur10.envs.rendering.live.viewpoints import CAMERA, FOV_RAD, NARROW, look_from
 from dual_ur10.errors import DualUR10Error, LinkError
+from dual_ur10.ids import load_object
 from dual_ur10.sim2real.processes.system import LOCAL, System
 
 STOPPED: Final = "the button to stop both arms was pressed in the live page"
@@ -61,7 +62,7 @@ class Page:
         self._poser = Poser(model)
         self._poser.rest(home_q_rad(about.scene.mounts))
         self._handles = DragHandles(about, self.commander, self._poser)
-        self._controllers: Controllers | None = None
+        self._arms: ArmsView | None = None
         self._seen, self._polls = 0, 0
         self._row: Row | None = None
         server.gui.configure_theme(
@@ -81,9 +82,9 @@ class Page:
 
     def _stop(self) -> None:
         """Latch a stop of both arms of controllers, without waiting for the program, which stops simulated arms."""
-        self.commander.stop()  # before the look at the controllers, which `poll` may just be attaching
-        if self._controllers is not None:
-            self._controllers.cell.enter_fault(STOPPED)
+        self.commander.stop()  # before the look at the arms, which `poll` may just be attaching
+        if self._arms is not None:
+            self._arms.stop(STOPPED)
 
     async def _enter(self, client: Any) -> None:
         if client.camera.aspect < NARROW:
@@ -101,13 +102,14 @@ class Page:
         memory.beat(now_s)
         self.commander.poll()
         self._polls += 1
-        if self._controllers is None and (names := memory.attached) is not None:
-            self._controllers = Controllers(names)
-            if memory.stops:  # pressed before their memories were known
-                self._controllers.cell.enter_fault(STOPPED)
-        self._attendance.poll(self._controllers)
+        if self._arms is None and (view := memory.attached):
+            path, *names = view
+            self._arms = load_object(path, "the view of the arms", registered=True)(*names)
+            if memory.stops:  # pressed before they were known
+                self._arms.stop(STOPPED)
+        self._attendance.poll(self._arms)
         rows, self._seen = memory.rows(self._seen)
-        late_ms, skew_ms = (math.nan, math.nan) if self._controllers is None else self._controllers.sending.read()
+        late_ms, skew_ms = (math.nan, math.nan) if self._arms is None else self._arms.sending()
         self._plots.history.add(rows, late_ms, skew_ms)
         with self._server.atomic():
             if rows:
@@ -125,8 +127,8 @@ class Page:
 
     def _say(self, now_s: float) -> None:
         words = self._memory.words
-        if self._controllers is not None:
-            words |= self._controllers.words(now_s)
+        if self._arms is not None:
+            words |= self._arms.words(now_s)
         if self._row is None:
             words["drawn"] = "both arms at home: nothing is known of them yet"
         if self._pictures.failure:
@@ -139,9 +141,9 @@ class Page:
         self._panel.say(words)
 
     def close(self) -> None:
-        """Release the memories of the controllers."""
-        if self._controllers is not None:
-            self._controllers.close()
+        """Release the view of the arms."""
+        if self._arms is not None:
+            self._arms.close()
 
 
 def main(

@@ -39,8 +39,8 @@ class Shown(gym.Wrapper[Any, Any, Any, Any]):
             "task": self._core.setup.env_id,
             "arms": f"{config.kind} cell, commanded" if config.controllers else "simulation",
         }
-        if config.controllers:
-            page.attach(self._core.cell)
+        if view := getattr(self._core.cell, "live_view", None):
+            page.attach(view)
         self.stopped = self.state = self.waiting = ""
         self.late_s = np.nan
         self.episode, self.steps = -1, 0

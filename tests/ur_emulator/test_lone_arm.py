@@ -11,6 +11,7 @@ from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.robots import ROBOTS
 from dual_ur10.kinematics.ur10 import nominal_dh
+from tests import rollout_hashes
 from tests.ur_emulator.ticking import Cell
 from ur_emulator import lone_arm
 from ur_emulator.lone_arm import DEVIATIONS, LoneArm
@@ -49,6 +50,29 @@ def test_every_model_follows_its_controller_exactly(robot):
     position, _ = arm.pose("wrist_3_link")
     to_flange = flange_pose(goal, nominal_dh(robot))[0] * [-1, -1, 1] - position  # `base` is turned by 180 degrees
     assert np.linalg.norm(to_flange) == pytest.approx(nominal_dh(robot).d_m[5], abs=1e-6)
+
+
+@pytest.mark.parametrize("plant", rollout_hashes.PLANTS)
+@pytest.mark.parametrize("robot", rollout_hashes.ROBOTS)
+def test_motion_hash(robot, plant):
+    rollout_hashes.check(f"{robot}, {plant}", lambda: moved(robot, plant))
+
+
+def moved(robot, plant):
+    """Hash a move of all joints, a push and torques of the servos after it."""
+    arm = arm_of(robot, plant=plant, seed=5)
+    motion = Motion(arm.tick_s, arm.substeps, arm.start_q_rad[0], dh=nominal_dh(robot))
+    motion.move_joints(arm.start_q_rad[0] + [0.3, -0.2, 0.1, 0.2, 0.3, -0.3], 1.4, 1.0)
+    seen = [arm.start_q_rad, *arm.sampled.values()]
+    for tick in range(100):
+        torque = JointTorques(np.full(6, 0.5), np.full(6, 0.9)) if tick >= 80 else None
+        if tick == 60:
+            arm.push(0, np.array([5.0, 3.0, -4.0, 0.2, 0.1, 0.3]), 10 * arm.tick_s)
+        advance(arm, motion.plan(), torque)
+        reading = arm.read(0)
+        seen += [reading.q_rad, reading.qd_rad_s, reading.torque_nm, reading.wrench, *arm.pose("wrist_3_link")]
+    assert not arm.failed
+    return rollout_hashes.digest(*seen)
 
 
 def test_a_plant_that_is_not_nominal_deviates():

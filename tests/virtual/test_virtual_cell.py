@@ -15,6 +15,7 @@ from dual_ur10.errors import CellFaulted, SettingsError, UnknownNameError, Virtu
 from dual_ur10.policies import load
 from dual_ur10.sim2real.processes.system import System
 from dual_ur10.testing import VirtualCell, check_policy
+from tests import rollout_hashes
 from tests.cli.command import run
 from ur_emulator.emulator import Emulator
 
@@ -53,6 +54,25 @@ def test_the_concise_view_is_that_of_what_is_measured():
     view = gym.make("DualUR10/SineTracking-v0", cell="echo").unwrapped.task.concise_view()
     expected = view(np.frombuffer(state).reshape(6, -1))
     assert np.array_equal(np.frombuffer(shown, dtype=np.float32).reshape(6, -1), expected)
+
+
+def test_handover_hash():
+    rollout_hashes.check("virtual handover", hashed_handover)
+
+
+def hashed_handover():
+    """Hash a handover on both controllers by random actions: what is seen, what they receive, and the clock."""
+    rng, seen = np.random.default_rng(7), []
+    with VirtualCell(task="Handover", plant="mild", seed=3) as cell:
+        env = cell.make("DualUR10/Handover-v0")
+        seen.append(env.reset(seed=11)[0])
+        for _ in range(40):
+            observation, *rest, _ = env.step(rng.uniform(-1, 1, env.action_space.shape).astype(np.float32))
+            seen += [observation, rest]
+        env.close()
+        received = [cell.packages(arm) for arm in ("left", "right")]
+        seen += [[tick, kind, *numbers] for each in received for tick, kind, numbers in each] + [cell.now_s]
+    return rollout_hashes.digest(*seen)
 
 
 def test_a_stop_is_the_same_to_the_bit():

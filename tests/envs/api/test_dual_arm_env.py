@@ -6,7 +6,6 @@ import sys
 import warnings
 
 import gymnasium as gym
-import mujoco
 import numpy as np
 import psutil
 import pytest
@@ -23,6 +22,7 @@ from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.ur10 import ARMS, JOINTS, NOMINAL_DH
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.config.perturbation import Perturbation
+from tests import rollout_hashes
 from tests.soak import scaled
 
 IDS = dual_ur10.ENV_IDS
@@ -137,29 +137,9 @@ def test_observations_share_no_memory_and_are_not_changed_later():
     assert not np.shares_memory(first, second)
 
 
-# One hash per id and MuJoCo minor version: what changes one changes results, and needs a new id. MuJoCo promises equal
-# results only for one version on one architecture, so other versions are only checked against themselves.
-ROLLOUT_DIGITS = 6  # processors round differently, by up to 2e-11, and contacts amplify it
-
-
-def rollout_hash(env_id):
-    env = gym.make(env_id)
-    trace = rollout(env, 50, seed=11)
-    rounded = np.concatenate([np.round(x, ROLLOUT_DIGITS).ravel() + 0.0 for x in trace])
-    return hashlib.sha256(rounded.tobytes()).hexdigest()[:16]
-
-
 @pytest.mark.parametrize("env_id", IDS)
 def test_rollout_hash(env_id):
-    from tests.rollout_hashes import HASHES
-
-    version = ".".join(mujoco.__version__.split(".")[:2])
-    key = (env_id, version)
-    if key not in HASHES:
-        assert version not in {known for _, known in HASHES}, f"{env_id} has no hash for MuJoCo {version}"
-        assert rollout_hash(env_id) == rollout_hash(env_id)
-    else:
-        assert rollout_hash(env_id) == HASHES[key]
+    rollout_hashes.check(env_id, lambda: rollout_hashes.digest(*rollout(gym.make(env_id), 50, seed=11)))
 
 
 @pytest.mark.parametrize("when", ["before", "during", "after"])

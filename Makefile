@@ -198,14 +198,15 @@ bench: $(VENV)/.dev $(KERNEL)  ## all benchmarks, figures to out/*.json
 	@$(VENV)/bin/python benchmarks/learning.py --json out/learning.json
 	@$(VENV)/bin/python benchmarks/collection.py --json out/collection.json
 
-lint: $(VENV)/.dev  ## ruff and mypy alone
+lint: $(VENV)/.dev  ## ruff, mypy and the contracts of imports
 	@$(VENV)/bin/ruff check .
 	@$(VENV)/bin/ruff format --check .
 	@$(VENV)/bin/mypy
+	@$(VENV)/bin/lint-imports --no-logo
 
 format: $(VENV)/.dev  ## ruff's formatter and its safe fixes
 	@$(VENV)/bin/ruff check --fix .
 	@$(VENV)/bin/ruff format .
 
 clean:  ## remove what make built
-	rm -rf $(VENV) $(OLDEST) $(RLLIB) $(CLIENTS) $(KERNEL) out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(OLDEST) $(RLLIB) $(CLIENTS) $(KERNEL) out build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -1,6 +1,6 @@
 import ast
+import configparser
 import fnmatch
-import functools
 import importlib.util
 import json
 import pathlib
@@ -273,116 +273,37 @@ def test_the_types_of_the_wheel_reach_its_users(wheel, tmp_path):
     assert "Found 1 error in 1 file" in found.stdout
 
 
-FLOORS = (
-    ("errors", "files", "ids", "registration", "types"),
-    ("kernel",),
-    ("kinematics",),
-    ("assets",),
-    ("sim2real.control", "sim2real.processes", "sim2real.protocol"),
-    ("sim2real.config", "sim2real.links"),
-    ("sim2real.peripherals", "sim2real.commissioning", "sim2real.trajectory", "sim2real.calibration"),
-    ("sim2real.runtime",),
-    ("sim2real.recording",),
-    ("envs",),
-    ("policies",),
-    ("sim2real.analysis", "ur_emulator"),
-    ("ur_emulator.virtual",),
-    ("tasks", "testing"),
-    ("cli", "__main__"),
-)
-"""Each room imports its own floor and those above it in this list, never one below. Rooms without another name in
-front are those of `dual_ur10`."""
-
 PACKAGES = ("dual_ur10", "ur_emulator")
 
 
 def _modules():
-    """Yield the modules of both packages: name, without `dual_ur10.`, and path."""
+    """Yield the modules of both packages: name and path."""
     for package in PACKAGES:
         for path in sorted((ROOT / package).rglob("*.py")):
             name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
-            yield name.removesuffix(".__init__").removeprefix("dual_ur10."), path
+            yield name.removesuffix(".__init__"), path
 
 
-@functools.cache
-def _nodes(path):
-    """Return what is asked of the syntax tree of a module: its imports and its functions."""
-    kinds = ast.Import | ast.ImportFrom | ast.FunctionDef
-    return [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, kinds)]
-
-
-def _imports(path):
-    for node in _nodes(path):
-        if isinstance(node, ast.Import):
-            yield from (each.name for each in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            yield node.module
-            yield from (f"{node.module}.{each.name}" for each in node.names)
-
-
-def _floor(module):
-    found = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms if f"{module}.".startswith(f"{room}.")}
-    return found[max(found, key=len)] if found else None  # the innermost room
-
-
-def test_imports_run_downwards():
-    climbing, modules = set(), dict(_modules())
-    for here, path in modules.items():
-        if here in ("dual_ur10", "sim2real"):
-            continue  # the faces of the package and of a room that holds rooms
-        assert _floor(here) is not None, f"{here} stands on no floor"
-        for name in _imports(path):
-            there = name.removeprefix("dual_ur10.")
-            if there in modules and _floor(there) is not None and _floor(there) > _floor(here):
-                climbing.add((here, there))
-    assert climbing == set()
+def test_every_module_stands_on_a_floor():
+    """`make lint` checks the contracts; a room that none of them names would import as it likes."""
+    contracts = configparser.ConfigParser()
+    contracts.read(ROOT / ".importlinter")
+    floors = re.split(r"[:\s]+", contracts["importlinter:contract:floors"]["layers"].strip())
+    faces = {"dual_ur10", "dual_ur10.sim2real"}  # of the package, and of a room that holds rooms
+    rooms = tuple(f"{each}." for each in floors)
+    unknown = [name for name, _ in _modules() if not f"{name}.".startswith(rooms) and name not in faces]
+    assert unknown == []
 
 
 def test_no_function_takes_an_arm_for_a_ur10():
     found = []
     for _, path in _modules():
-        for node in _nodes(path):
+        for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.FunctionDef):
                 defaults = [each for each in (*node.args.defaults, *node.args.kw_defaults) if each is not None]
                 if any(re.search(r"NOMINAL_DH|ur10\b", ast.unparse(each)) for each in defaults):
                     found.append(node.name)
     assert found == ["default_mount"]  # of the default cell, whose arms are UR10s
-
-
-MAY_EMULATE = {"cli.emulate", "cli.demo_report.emulated", "testing"}
-"""Modules of `dual_ur10` that start emulated controllers."""
-
-
-def test_only_what_starts_emulated_controllers_imports_them():
-    """Above all: what moves real arms imports nothing of the emulator."""
-    found = {name for name, path in _modules() if not name.startswith("ur_emulator")
-             if any(each.split(".")[0] == "ur_emulator" for each in _imports(path))}  # fmt: skip
-    assert found == MAY_EMULATE
-
-
-ENVIRONMENTS = {"ur_emulator.cell_world", "ur_emulator.emulator"}
-"""Modules of the emulator that import environments: the world of a cell, and the viewer, once it is asked for."""
-
-
-def test_only_cells_and_the_viewer_need_environments():
-    found = {(name, each) for name, path in _modules() if name.startswith("ur_emulator") for each in _imports(path)
-             if each.startswith(("dual_ur10.envs", "dual_ur10.policies"))}  # fmt: skip
-    assert {name for name, _ in found} == ENVIRONMENTS
-    viewer = "dual_ur10.envs.rendering.viewer"
-    assert {each for name, each in found if name == "ur_emulator.emulator"} == {viewer, f"{viewer}.Viewer"}
-
-
-@pytest.mark.parametrize(
-    "room",
-    [*(f"dual_ur10/sim2real/{each}" for each in ("links", "runtime", "peripherals", "recording")), "ur_emulator"],
-)
-def test_time_and_connections_come_from_the_system(room):
-    """So that all of it runs on a virtual clock, too."""
-    paths = list((ROOT / room).rglob("*.py"))
-    assert paths
-    forbidden = {"time", "select", "selectors", "socket"}
-    found = {(path.name, name) for path in paths for name in forbidden.intersection(_imports(path))}
-    assert not found
 
 
 @pytest.mark.parametrize(("version", "words"), [((3, 12), "needs ur_rtde: pip install"), ((3, 13), "for Python 3.11")])

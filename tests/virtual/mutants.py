@@ -72,7 +72,6 @@ _ENFORCER = "sim2real/runtime/stop_enforcer.py"
 _LATCH = "sim2real/runtime/latch.py"
 _RUNNER = "sim2real/runtime/runner.py"
 _CELL = "sim2real/runtime/rtde_cell.py"
-_WRITER = "sim2real/runtime/target_writer.py"
 _SCALING = "sim2real/control/time_scaling.py"
 _GATE = "kernel/gate.hpp"
 _CORE = "envs/core/core.py"
@@ -91,8 +90,8 @@ MUTANTS = (
     Mutant("watchdog of 1 Hz", "sim2real/runtime/arm_process.py", "control.setWatchdog(WATCHDOG_HZ)", "control.setWatchdog(1.0)"),
     Mutant("ramp is too slow", _SENDER, "STOP_RAD_S2: Final = 4.0", "STOP_RAD_S2: Final = 0.1", ("policy", "death")),
     Mutant("ramp is too hard", _SENDER, "STOP_RAD_S3: Final = 200.0", "STOP_RAD_S3: Final = 2e5; STOP_RAD_S2 = 60.0", ("policy", "death")),
-    Mutant("brake after the targets is missing", _WRITER, "brake = past[-1] + self._brake @ (past - past[-1])", "brake = past[-1] + 0 * self._brake @ (past - past[-1])"),
-    Mutant("targets pass the gate and change", _WRITER, "whole = np.concatenate([targets_rad,", "whole = np.concatenate([targets_rad + 1e-7,"),
+    Mutant("brake after the targets is missing", _RUNNER, "brake = past[-1] + self._brake @ (past - past[-1])", "brake = past[-1] + 0 * self._brake @ (past - past[-1])"),
+    Mutant("targets pass the gate and change", _RUNNER, "whole = np.concatenate([targets_rad,", "whole = np.concatenate([targets_rad + 1e-7,"),
     Mutant("gate forgets what it released", _GATE, "        copy(past, window + e.ticks * JOINTS, HISTORY * JOINTS);\n", "        (void)past;\n"),
     Mutant("late targets are written", _RUNNER, "        if first < self.next:\n", "        if False:\n", ("policy",)),
     Mutant("both arms get the targets of one", _RUNNER, "memory.put(first, targets_rad[:, arm])", "memory.put(first, targets_rad[:, 0])", ("slider",)),

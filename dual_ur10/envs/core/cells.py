@@ -1,24 +1,54 @@
-"""The cell of an environment, and the recorder of its run."""
+"""The cell of an environment, and the hook through which its run is recorded."""
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, Protocol
+
+import numpy as np
 
 from dual_ur10.envs.core.setup import EnvSetup
-from dual_ur10.errors import SettingsError
-from dual_ur10.sim2real.config.cell import Cell, CellRequest
+from dual_ur10.sim2real.config.cell import CellRequest, CellState, CellStep
+from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.control.clearance import Clearance
-from dual_ur10.sim2real.recording.rows import RunRecorder
+from dual_ur10.types import Array, Mask
 
-if TYPE_CHECKING:
-    from dual_ur10.sim2real.recording.recorder import RecorderProcess
-    from dual_ur10.sim2real.recording.run import Header
-    from dual_ur10.sim2real.runtime.rtde_cell import RtdeCell
+RECORDING: Final = "dual_ur10.sim2real.recording.of_env"
+"""Module that records runs. It loads only when there is something to record."""
 
-_NOT_RECORDED: Final = ("cell", "confirm", "record", "record_failure", "record_about")
+
+class StepHook(Protocol):
+    """Observer of the resets and steps of one cell, such as a recorder."""
+
+    @property
+    def failure(self) -> str:
+        """Reason why something was not recorded; empty: none."""
+
+    def resetting(self, rngs: Sequence[np.random.Generator], seed: int | None) -> None:
+        """Prepare for a reset, before it samples from the generators."""
+
+    def reset(self, observation: Array, state: CellState, sampled: Mapping[str, Any]) -> None:
+        """Receive a reset: the observation, (1, O), the state and the randomized values by name."""
+
+    def step(
+        self, action: object, command: Command, step: Any, period: CellStep, ended_by: str, commander: Mask
+    ) -> None:
+        """Receive a step.
+
+        Args:
+            action: The action as it was given.
+            command: The command that the gate released.
+            step: A `dual_ur10.envs.core.core.Step`.
+            period: The cell's step, with the true state at its end.
+            ended_by: Reason of an early end of the episode; "": there is none.
+            commander: (2,) True for an arm that a person commanded.
+        """
+
+    def event(self, kind: str, text: str) -> None:
+        """Receive an event, such as a fault."""
+
+    def close(self) -> None:
+        """End, because the core closes. May be called twice."""
 
 
 def request_for(setup: EnvSetup, n: int, *, threads: int, clearance: Clearance) -> CellRequest:
@@ -46,73 +76,3 @@ def request_for(setup: EnvSetup, n: int, *, threads: int, clearance: Clearance) 
         only=setup.options.arm,
         system=setup.system,
     )
-
-
-def make_recorder(setup: EnvSetup, keywords: Mapping[str, Any], cell: Cell) -> RunRecorder | None:
-    """Make the recorder of a run of this cell; None if nothing is to be recorded.
-
-    A cell of two controllers always has a black box.
-
-    Args:
-        setup: Of the environment.
-        keywords: Those that it follows from.
-        cell: The cell.
-
-    Raises:
-        SettingsError: There are several cells.
-        RecordingError: A file cannot be made.
-    """
-    options, config = setup.options, setup.config
-    if options.record is None and config.file is None:
-        return None
-    if cell.n > 1:
-        raise SettingsError(f"{cell.n} cells are stepped together: only one alone can be recorded")
-    from dual_ur10.sim2real.recording.header import describe
-    from dual_ur10.sim2real.recording.run_folder import new_folder
-    from dual_ur10.sim2real.recording.simulation import SimulationRecord
-    from dual_ur10.sim2real.runtime.rtde_cell import RtdeCell
-
-    file, about = config.file, dict(options.record_about or {})
-    header = describe(
-        setup.env_id,
-        {
-            **({"cell": keywords["cell"]} if "cell" in keywords and file is None else {}),
-            **{name: value for name, value in keywords.items() if name not in _NOT_RECORDED},
-            "action_latency_ticks": setup.latency_ticks,
-        },
-        config,
-        period_ticks=setup.ticks,
-        latency_ticks=setup.latency_ticks,
-        source=config.kind,
-        speed_factor=config.speed_factor,
-        cell_file=None if file is None else file.text(),
-        policy=about.pop("policy", ""),
-        policy_sha256=about.pop("policy_sha256", None),
-        extra=about,
-        started=setup.system.clock.utc(),
-    )
-    folder = None if options.record is None else new_folder(Path(options.record), header)
-    try:
-        if not isinstance(cell, RtdeCell):
-            return None if folder is None else SimulationRecord(folder, header)
-        return record_arms(cell, header, folder)
-    except BaseException:
-        if folder is not None:
-            with contextlib.suppress(OSError):  # a folder that is not empty stays
-                folder.rmdir()
-        raise
-
-
-def record_arms(cell: RtdeCell, header: Header, folder: Path | None = None) -> RecorderProcess:
-    """Start to record the arms of two controllers, in a folder or, without one, in black boxes of their stops.
-
-    Raises:
-        RecordingError: A file cannot be made.
-    """
-    from dual_ur10.sim2real.recording.recorder import RecorderProcess
-
-    boxes = cell.system.state_folder() / "black_boxes" if folder is None else folder
-    boxes.mkdir(mode=0o700, exist_ok=True)
-    recorder = RecorderProcess(cell.memory_names, folder, header, boxes, system=cell.system)
-    recorder.wait_until_ready()
-    return recorder

@@ -14,7 +14,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from dual_ur10.envs.core.cells import make_recorder, request_for
+from dual_ur10.envs.core.cells import RECORDING, StepHook, request_for
 from dual_ur10.envs.core.ends import BRAKED, DIVERGED, SUCCESS, TIME, early_end, refusal
 from dual_ur10.envs.core.options import EnvOptions
 from dual_ur10.envs.core.randomization import apply_sample
@@ -30,6 +30,7 @@ from dual_ur10.errors import (
     ResetNeededError,
     TaskError,
 )
+from dual_ur10.ids import load_object
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import Cell, CellConfig, CellState, CellStep
 from dual_ur10.sim2real.config.cell_kinds import make_cell
@@ -38,9 +39,6 @@ from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate, Verdict
 from dual_ur10.sim2real.control.pipeline import ServojPipeline
 from dual_ur10.sim2real.control.proximity import ProximityScaling
-from dual_ur10.sim2real.recording.hook import RecordHook
-from dual_ur10.sim2real.recording.rows import RunRecorder
-from dual_ur10.sim2real.recording.run_folder import prepare
 from dual_ur10.types import Array, Mask, Rows
 
 log = logging.getLogger(__name__)
@@ -138,6 +136,11 @@ def _spread(values: Array, rows: Rows, n: int) -> Array:
     return result
 
 
+def _recording(name: str) -> Any:
+    """Return a function of the module that records runs."""
+    return load_object(f"{RECORDING}:{name}", "the recording of runs", registered=True)
+
+
 class Core:
     """Stepping loop of n cells: task, pipeline and cell.
 
@@ -225,11 +228,16 @@ class Core:
         low, high = layout.low.astype(self._dtype), layout.high.astype(self._dtype)
         self.observation_space = spaces.Box(low, high, dtype=self._dtype.type)
         if record is not None:
-            prepare(Path(record))  # before anything is connected
-        self.cell: Cell | None = make_cell(request_for(setup, n, threads=threads, clearance=clearance))
-        self._hook: RecordHook | None = None
-        self.recorder: RunRecorder | None = None
-        self._begin_record(keywords)
+            _recording("prepare")(Path(record))  # before anything is connected
+        request = request_for(setup, n, threads=threads, clearance=clearance)
+        self.cell: Cell | None = make_cell(request)
+        self._hook: StepHook | None = None
+        if record is not None or config.file is not None:
+            try:
+                self._hook = _recording("record_env")(setup.env_id, keywords, request, self.cell)
+            except BaseException:
+                self.cell.close()
+                raise
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self})"
@@ -544,43 +552,28 @@ class Core:
 
     def _advance(self, cell: Cell, command: Command) -> CellStep:
         """Advance the cell by a policy period, and record a fault."""
-        recorder = self.recorder
-        if recorder is not None and recorder.failure and self.options.record_failure == "stop":
-            cell.stop(f"the run is not recorded any more: {recorder.failure}")
+        hook = self._hook
+        if hook is not None and hook.failure and self.options.record_failure == "stop":
+            cell.stop(f"the run is not recorded any more: {hook.failure}")
         try:
             return cell.advance(command)
         except DualUR10Error as error:
-            if recorder is not None:
-                recorder.event("fault", str(error))
-            raise
-
-    def _begin_record(self, keywords: Mapping[str, Any]) -> None:
-        cell = self._open()
-        try:
-            self.recorder = make_recorder(self.setup, keywords, cell)
-            if self.recorder is not None:
-                self.record(self.recorder)
-        except BaseException:
-            cell.close()
+            self.note("fault", str(error))
             raise
 
     def note(self, kind: str, text: str) -> None:
         """Write an event into the record of this run, if there is one."""
-        if self.recorder is not None:
-            self.recorder.event(kind, text)
+        if self._hook is not None:
+            self._hook.event(kind, text)
 
     @property
     def clipped_actions(self) -> int:
         """Number of actions so far, of all cells, that were clipped to the action space."""
         return self.pipeline.clipped_actions
 
-    def record(self, recorder: RunRecorder) -> None:
-        """Record every episode from the next reset on. The caller closes the recorder.
-
-        Raises:
-            SettingsError: There are several cells.
-        """
-        self._hook = RecordHook(recorder, self._open())
+    def attach(self, hook: StepHook) -> None:
+        """Call a hook in place of the present one, from the next reset on until this core closes."""
+        self._hook = hook
 
     def close(self) -> None:
         """Release the cell, and end the record. May be called twice."""
@@ -589,9 +582,9 @@ class Core:
                 self.cell.close()
         finally:
             self.cell = None
-            recorder, self.recorder, self._hook = self.recorder, None, None
-            if recorder is not None:
-                recorder.close()
+            hook, self._hook = self._hook, None
+            if hook is not None:
+                hook.close()
 
     def _open(self) -> Cell:
         if self.cell is None:

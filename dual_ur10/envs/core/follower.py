@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 from dual_ur10.assets.gains import STIFF
 from dual_ur10.assets.settings import Equipment, home_q_rad
-from dual_ur10.envs.core.cells import record_arms
 from dual_ur10.errors import UnknownNameError
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.commissioning.operator_prompts import Confirm
-from dual_ur10.sim2real.config.cell import Cell, CellConfig, CellRequest, HostedCell
-from dual_ur10.sim2real.config.cell_file import resolve_cell
+from dual_ur10.sim2real.config.cell import CellRequest, HostedCell
 from dual_ur10.sim2real.config.cell_kinds import make_cell
+from dual_ur10.sim2real.config.named_cell import resolve_cell
 from dual_ur10.sim2real.config.perturbation import Perturbation
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.control.proximity import ProximityScaling
 from dual_ur10.sim2real.processes.system import LOCAL
+from dual_ur10.sim2real.recording.of_env import record_run
 from dual_ur10.sim2real.trajectory.executor import TrajectoryExecutor
 from dual_ur10.sim2real.trajectory.path_check import TargetLaw
 from dual_ur10.types import Array
@@ -76,19 +75,23 @@ def make_follower(
     latency_ticks = config.latency_ticks
     if config.controllers:
         latency_ticks = max(latency_ticks, math.ceil(LEAD_S / law.tick_s * config.speed_factor - 1e-9))
-    made = make_cell(
-        CellRequest(
-            config=config,
-            ticks=ticks,
-            limits=limits,
-            clearance=clearance,
-            latency_ticks=latency_ticks,
-            contacts=config.perturbation != Perturbation(),
-            confirm=confirm,
-            only=arm,
-            system=cell.system if isinstance(cell, HostedCell) else LOCAL,
-        )
+    request = CellRequest(
+        config=config,
+        ticks=ticks,
+        limits=limits,
+        clearance=clearance,
+        latency_ticks=latency_ticks,
+        contacts=config.perturbation != Perturbation(),
+        confirm=confirm,
+        only=arm,
+        system=cell.system if isinstance(cell, HostedCell) else LOCAL,
     )
+    made = make_cell(request)
+    try:
+        black_box = record_run("trajectories", {}, request, made)
+    except BaseException:
+        made.close()
+        raise
     executor = TrajectoryExecutor(
         made,
         gate,
@@ -97,36 +100,9 @@ def make_follower(
         latency_ticks=latency_ticks,
         dh=[mount.dh for mount in (config.left, config.right)],
         proximity=ProximityScaling(clearance, law.period_s) if config.controllers else None,
-        on_close=_black_box(made, config, ticks, latency_ticks),
+        on_close=None if black_box is None else black_box.close,
     )
     with executor.closed_on_error():
         if not config.controllers:
             executor.start(home_q_rad((config.left, config.right)))
     return executor
-
-
-def _black_box(cell: Cell, config: CellConfig, period_ticks: int, latency_ticks: int) -> Callable[[], None] | None:
-    """Start the black box that each cell of two controllers has; return how to end it."""
-    if config.file is None:
-        return None
-    from dual_ur10.sim2real.recording.header import describe  # a simulation does not need these imports
-    from dual_ur10.sim2real.runtime.rtde_cell import RtdeCell
-
-    if not isinstance(cell, RtdeCell):
-        return None
-    header = describe(
-        "trajectories",
-        {},
-        config,
-        period_ticks=period_ticks,
-        latency_ticks=latency_ticks,
-        source=config.kind,
-        speed_factor=config.speed_factor,
-        cell_file=config.file.text(),
-        started=cell.system.clock.utc(),
-    )
-    try:
-        return record_arms(cell, header).close
-    except BaseException:
-        cell.close()
-        raise

@@ -11,10 +11,10 @@ from dual_ur10.assets.tool import strokes_m
 from dual_ur10.envs.sim.servo_reference import Motion, ServojReference
 from dual_ur10.errors import ClosedError, SettingsError
 from dual_ur10.sim2real.config.cell import CellConfig, CellRequest, CellState, CellStep, Start, TickTrace
+from dual_ur10.sim2real.config.mirror_model import MirrorModel
 from dual_ur10.sim2real.config.perturbation import Perturbation
 from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.control.command_queue import CommandQueue
-from dual_ur10.sim2real.runtime.mirror_model import MirrorModel
 from dual_ur10.types import Array, Rows
 
 

@@ -21,7 +21,7 @@ from dual_ur10.policies.learned.network import Activation
 from dual_ur10.policies.learned.schema import StrictJson
 from dual_ur10.policies.learned.signature import view_of
 from dual_ur10.policies.operators.catalog import device_class
-from dual_ur10.sim2real.config.cell_file import resolve_cell
+from dual_ur10.sim2real.config.named_cell import resolve_cell
 
 Algorithm = Literal["ppo", "sac", "bc", "dagger"]
 IMITATION: Final = ("bc", "dagger")

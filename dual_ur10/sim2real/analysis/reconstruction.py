@@ -16,7 +16,8 @@ from dual_ur10.ids import TASKS, is_registered, received
 from dual_ur10.kinematics.rotations import quat_conjugate, quat_multiply, quat_to_rotvec
 from dual_ur10.kinematics.ur10 import ARMS, TICK_S
 from dual_ur10.sim2real.config.cell import CellConfig
-from dual_ur10.sim2real.config.cell_file import examine_text, resolve_cell
+from dual_ur10.sim2real.config.cell_file import examine_text
+from dual_ur10.sim2real.config.named_cell import resolve_cell
 from dual_ur10.sim2real.control.servoj import ServojProfile
 from dual_ur10.sim2real.recording.header import built, field_types, findings, mounts_of
 from dual_ur10.sim2real.recording.run import Episode, Header, Run

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import os
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -21,12 +20,11 @@ from dual_ur10.assets.gains import Gains
 from dual_ur10.assets.obstacles import Obstacle
 from dual_ur10.assets.settings import default_mount
 from dual_ur10.assets.tool import Tool, tool_named
-from dual_ur10.errors import CellFileError, SettingsError, UnknownNameError
+from dual_ur10.errors import CellFileError, SettingsError
 from dual_ur10.files import read_regular
-from dual_ur10.ids import discover
 from dual_ur10.kinematics.robots import MODEL_OF_FAMILY, ROBOTS
 from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.sim2real.config.cell import CellConfig, HostedCell
+from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.config.cell_file_rules import inconsistencies
 from dual_ur10.sim2real.config.cell_file_tables import (
     MAX_OBSTACLES,
@@ -48,7 +46,6 @@ from dual_ur10.sim2real.config.cell_file_tables import (
     key,
 )
 from dual_ur10.sim2real.config.cell_file_text import KeyList, missing, toml_text
-from dual_ur10.sim2real.config.cell_kinds import CELL_KINDS
 from dual_ur10.sim2real.config.perturbation import Perturbation
 
 MAX_BYTES: Final = 64 * 1024
@@ -368,32 +365,6 @@ def load_cell_file(path: str | Path) -> CellFile:
     if cell is None:
         raise _error(str(path), findings)
     return cell
-
-
-def resolve_cell(cell: object) -> CellConfig:
-    """Return the configuration that the keyword `cell` of an environment stands for.
-
-    Args:
-        cell: "mujoco", "echo" or another kind without a cell file, a `CellConfig`, the path of a cell file, or a
-            `HostedCell`.
-
-    Raises:
-        UnknownNameError: None of them.
-        CellFileError: The cell file cannot be read or is not legal.
-    """
-    if isinstance(cell, CellConfig):
-        return cell
-    if isinstance(cell, HostedCell):
-        return cell.config()
-    if isinstance(cell, os.PathLike) or (isinstance(cell, str) and ("/" in cell or cell.endswith(".toml"))):
-        return load_cell_file(os.fspath(cell)).config()
-    if isinstance(cell, str) and cell not in CELL_KINDS:
-        discover()
-    without_file = [name for name, kind in CELL_KINDS.items() if not kind.file]
-    if not isinstance(cell, str) or cell not in without_file:
-        other = "the path of a cell file, such as lab.toml, a CellConfig, or a dual_ur10.testing.VirtualCell"
-        raise UnknownNameError("cell", str(cell), without_file, other)
-    return CellConfig(kind=cell)
 
 
 def _text_of(path: str | Path) -> str:

@@ -44,6 +44,19 @@ class RecordHook:
         self._seed: int | None = None
         self._step = 0
 
+    @property
+    def failure(self) -> str:
+        """Reason why something was not recorded; empty: none."""
+        return self.recorder.failure
+
+    def event(self, kind: str, text: str) -> None:
+        """Record an event that happens now."""
+        self.recorder.event(kind, text)
+
+    def close(self) -> None:
+        """End the record. May be called twice."""
+        self.recorder.close()
+
     def resetting(self, rngs: Sequence[np.random.Generator], seed: int | None) -> None:
         """Keep the state of the generator before a reset samples from it."""
         self._seed, self._step = seed, 0

@@ -16,8 +16,7 @@ from dual_ur10.sim2real.links.arm_status import ArmStatus
 from dual_ur10.sim2real.processes.machine_load import too_busy
 from dual_ur10.sim2real.runtime.approach import ACCELERATION_RAD_S2, retreat_clearance
 from dual_ur10.sim2real.runtime.arm_sender import MOST_LATE_S
-from dual_ur10.sim2real.runtime.runner import Runner, margin_ticks
-from dual_ur10.sim2real.runtime.target_writer import TargetWriter
+from dual_ur10.sim2real.runtime.runner import Runner, TargetWriter, margin_ticks
 from dual_ur10.types import Array
 
 SETTLED_RAD: Final = 1e-4

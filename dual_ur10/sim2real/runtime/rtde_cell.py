@@ -24,6 +24,7 @@ from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.commissioning.operator_prompts import Confirm, prompt_for
 from dual_ur10.sim2real.config.cell import CellConfig, CellRequest, CellState, CellStep, Start
 from dual_ur10.sim2real.config.cell_file import CellFile
+from dual_ur10.sim2real.config.mirror_model import MirrorModel
 from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.command_queue import MAX_LATENCY_TICKS
@@ -34,10 +35,8 @@ from dual_ur10.sim2real.peripherals.object_tracker import Flanges, ObjectPlacer,
 from dual_ur10.sim2real.processes.machine_load import is_too_busy
 from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.runtime.approach import Approach, Rates, plan
-from dual_ur10.sim2real.runtime.mirror_model import MirrorModel
 from dual_ur10.sim2real.runtime.path_to_start import AHEAD_TICKS, PathToStart, StalledError
-from dual_ur10.sim2real.runtime.runner import Runner, least_latency_ticks
-from dual_ur10.sim2real.runtime.target_writer import TargetWriter
+from dual_ur10.sim2real.runtime.runner import Runner, TargetWriter, least_latency_ticks
 from dual_ur10.sim2real.runtime.tracking import PayloadWarning, TemperatureWarning
 from dual_ur10.types import Array, Rows
 

@@ -15,7 +15,7 @@ WRITTEN_TICKS = 150  # until the recorder writes, and the program hears of it
 def full(lab):
     """Let the disk have no room for records from now on."""
     lab.note()
-    process = lab.env.unwrapped.core.recorder.process
+    process = lab.env.unwrapped.core._hook.recorder.process
     resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (1000, 1000))
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import dual_ur10  # noqa: F401  # registers the environments
 from dual_ur10 import policies
 from dual_ur10.sim2real.recording.header import describe
+from dual_ur10.sim2real.recording.hook import RecordHook
 from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.recording.run import Run
 from dual_ur10.sim2real.recording.simulation import SimulationRecord
@@ -34,7 +35,7 @@ def record(folder: Path, env_id: str, seeds: Sequence[int | None], steps: int, *
     )
     folder.mkdir()
     writer = SimulationRecord(folder, header)
-    core.record(writer)
+    core.attach(RecordHook(writer, core.cell))
     try:
         for seed in seeds:
             observation, _ = env.reset(seed=seed)

@@ -16,7 +16,7 @@ from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.errors import CellFileError, RateError, SettingsError, UnknownNameError
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.sim2real.config.cell import LATENCY_S, CellConfig
-from dual_ur10.sim2real.config.cell_file import resolve_cell
+from dual_ur10.sim2real.config.named_cell import resolve_cell
 from dual_ur10.sim2real.config.perturbation import TYPICAL_PERTURBATION
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.limits import MotionLimits

@@ -45,7 +45,7 @@ def recorded(folder, task, *, episodes=2, steps=8, **keywords):
     )
     where = new_folder(folder, header)
     record = SimulationRecord(where, header)
-    core.record(record)
+    core.attach(RecordHook(record, core.cell))
     given = []
     for episode in range(episodes):
         observation, info = env.reset(seed=4 if not episode else None)
@@ -142,7 +142,7 @@ def test_a_refusal_of_the_gate_is_recorded(tmp_path):
     header = describe("DualUR10/SineTracking-v0", {}, core.config, period_ticks=5, latency_ticks=0)
     where = new_folder(tmp_path, header)
     record = SimulationRecord(where, header)
-    core.record(record)
+    core.attach(RecordHook(record, core.cell))
     env.reset(seed=0)
     terminated = False
     for _ in range(200):
@@ -217,7 +217,7 @@ def test_several_cells_cannot_be_recorded(tmp_path):
     header = describe("DualUR10/SineTracking-v0", {}, core.config, period_ticks=5, latency_ticks=0)
     record = SimulationRecord(new_folder(tmp_path, header), header)
     with pytest.raises(SettingsError, match="only one alone"):
-        core.record(record)
+        core.attach(RecordHook(record, core.cell))
     record.close()
     core.close()
 

@@ -87,14 +87,19 @@ def test_make_by_module_prefix_needs_no_import_and_prints_nothing():
     assert result.stderr == ""
 
 
-def test_state_environments_load_no_opengl():
+def test_a_simulation_loads_no_opengl_and_no_code_of_real_arms():
     code = (
-        "import sys, gymnasium, dual_ur10; e = gymnasium.make('DualUR10/SineTracking-v0'); e.reset(seed=0); "
-        "e.step(e.action_space.sample()); "
-        "loaded = [m for m in ('mujoco.egl', 'mujoco.osmesa', 'OpenGL.GL') if m in sys.modules]; "
-        "sys.exit(str(loaded) if loaded else 0)"
+        "import sys, gymnasium, dual_ur10; e = gymnasium.make('DualUR10/Handover-v0'); e.reset(seed=0); "
+        "e.step(e.action_space.sample()); print(*sys.modules)"
     )
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
+    result = subprocess.run([sys.executable, "-c", code], check=True, timeout=120, capture_output=True, text=True)
+    loaded = set(result.stdout.split())
+    assert not {"mujoco.egl", "mujoco.osmesa", "OpenGL.GL", "pydantic"} & loaded
+    own = [name for name in loaded if name.split(".")[0] == "dual_ur10"]
+    assert len(own) <= 105
+    rooms = {name.split(".")[2] for name in own if name.startswith("dual_ur10.sim2real.")}
+    assert rooms == {"config", "control", "processes"}
+    assert not [name for name in own if name.startswith("dual_ur10.sim2real.config.cell_file")]
 
 
 @pytest.mark.parametrize("env_id", IDS)

@@ -271,7 +271,7 @@ def policies_of(env: str, given: Sequence[str]) -> tuple[str, ...]:
         UnknownNameError: There is no such policy or environment.
         SettingsError: There are too many.
     """
-    from dual_ur10.envs.rendering.live.memory import POLICIES
+    from dual_ur10.envs.rendering.live.buttons import POLICIES
 
     for each in given:
         check_name(each)
@@ -289,7 +289,7 @@ def buttons_of(setup: EnvSetup, *, takes: bool = False, stops: bool = True) -> t
         takes: There are a policy and an operator who may take arms from it.
         stops: With the one that stops both arms.
     """
-    from dual_ur10.envs.rendering.live.memory import SPEEDS, TAKES
+    from dual_ur10.envs.rendering.live.buttons import SPEEDS, TAKES
 
     buttons: tuple[str, ...] = (*(("stop",) if stops else ()), "reset", "next_seed")
     if not setup.config.controllers:

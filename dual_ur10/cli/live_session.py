@@ -12,8 +12,8 @@ from rich.markup import escape
 
 from dual_ur10.cli.options import errors
 from dual_ur10.envs.core.options import MOVE_TO_START
+from dual_ur10.envs.rendering.live.buttons import POLICIES, SPEEDS
 from dual_ur10.envs.rendering.live.live_page import LivePage
-from dual_ur10.envs.rendering.live.memory import POLICIES, SPEEDS
 from dual_ur10.envs.rendering.live.shown import Shown
 from dual_ur10.errors import CellFaulted, DualUR10Error, RenderError, SettingsError
 from dual_ur10.policies.evaluation.rollout import act

@@ -453,7 +453,7 @@ def make(
     Raises:
         DualUR10Error: A name or a value is not legal, or a device cannot be opened.
     """
-    from dual_ur10.envs.rendering.live.memory import EPISODES, TAKES
+    from dual_ur10.envs.rendering.live.buttons import EPISODES, TAKES
 
     env_id = env_id_of(env)
     check_leader(policy, operator)

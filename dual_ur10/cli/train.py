@@ -162,7 +162,7 @@ def train(
 
 def _meet(training: Training) -> Person:
     """Return the person who corrects a policy, at the terminal or the page."""
-    from dual_ur10.envs.rendering.live.memory import EPISODES, TAKES
+    from dual_ur10.envs.rendering.live.buttons import EPISODES, TAKES
     from dual_ur10.policies.training.corrections import Person
 
     operator = make_operator(

@@ -15,9 +15,10 @@ from dual_ur10.cli.live import buttons_of
 from dual_ur10.cli.live_session import LiveSession, WatchSession
 from dual_ur10.cli.train import _meet
 from dual_ur10.envs.core.setup import EnvSetup
+from dual_ur10.envs.rendering.live.buttons import EPISODES, TAKES
 from dual_ur10.envs.rendering.live.guard import bind
 from dual_ur10.envs.rendering.live.live_page import LivePage
-from dual_ur10.envs.rendering.live.memory import EPISODES, TAKES, Handles
+from dual_ur10.envs.rendering.live.memory import Handles
 from dual_ur10.errors import CellFaulted, DeviceGarbageError, RenderError, StartError
 from dual_ur10.policies import load
 from dual_ur10.policies.operators import page as page_module

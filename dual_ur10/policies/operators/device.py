@@ -9,7 +9,7 @@ from typing import Final, Protocol, runtime_checkable
 
 import numpy as np
 
-from dual_ur10.envs.rendering.live.memory import EPISODES, TAKES
+from dual_ur10.envs.rendering.live.buttons import EPISODES, TAKES
 from dual_ur10.errors import DeviceGarbageError
 from dual_ur10.sim2real.control.adapter import TCP_ROTATION_RAD_S, TCP_STEP_M_S
 from dual_ur10.types import Array, Mask, constant

@@ -83,7 +83,7 @@ def open_page(
 
     Args:
         setup: The environment.
-        buttons: Names in `dual_ur10.envs.rendering.live.memory.BUTTONS` of what the program acts on.
+        buttons: Names in `dual_ur10.envs.rendering.live.buttons.BUTTONS` of what the program acts on.
         port: Port of the loopback interface; 0: any free one.
         cameras: Names of cameras of the scene whose images are shown, with "," or "/" between them; or "none".
         handles: Drag handles at both tools, and buttons for the grippers.

@@ -15,7 +15,7 @@ import gymnasium as gym
 import numpy as np
 
 from dual_ur10.envs.core.options import AS_ON_CONTROLLERS
-from dual_ur10.envs.rendering.live.memory import EPISODES, TAKES
+from dual_ur10.envs.rendering.live.buttons import EPISODES, TAKES
 from dual_ur10.errors import TrainingError
 from dual_ur10.policies.learned.learned_policy import LearnedPolicy
 from dual_ur10.policies.operators.catalog import load_operator

@@ -23,22 +23,13 @@ from dual_ur10.assets.visuals import FIXED_CAMERAS
 from dual_ur10.envs.core.core import Core
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.rendering.live.about import About
+from dual_ur10.envs.rendering.live.buttons import BUTTONS, EPISODES, POLICIES, SPEEDS, TAKES
 from dual_ur10.envs.rendering.live.commander import GRIP_S, Commander
 from dual_ur10.envs.rendering.live.drag_handles import DragHandles
 from dual_ur10.envs.rendering.live.guard import LOOPBACK, bind, make_server
 from dual_ur10.envs.rendering.live.history import History
 from dual_ur10.envs.rendering.live.live_page import HANGS_S, LivePage
-from dual_ur10.envs.rendering.live.memory import (
-    BUTTONS,
-    EPISODES,
-    POLICIES,
-    RING,
-    SPEEDS,
-    STALE_S,
-    TAKES,
-    Handles,
-    LiveMemory,
-)
+from dual_ur10.envs.rendering.live.memory import RING, STALE_S, Handles, LiveMemory
 from dual_ur10.envs.rendering.live.overlay import STOP_PATH, Overlay
 from dual_ur10.envs.rendering.live.page import Page
 from dual_ur10.envs.rendering.live.panel import LOOKS, Panel, end_of

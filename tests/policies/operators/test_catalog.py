@@ -9,7 +9,7 @@ from importlib.metadata import EntryPoint
 import numpy as np
 import pytest
 
-from dual_ur10.envs.rendering.live import memory
+from dual_ur10.envs.rendering.live import buttons
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.policies.operators import gamepad, keyboard
 from dual_ur10.policies.operators.catalog import DEVICES, arguments_in, device_class, load_operator, make_device
@@ -41,7 +41,7 @@ def test_an_installed_package_brings_devices_by_name(monkeypatch):
 
 def test_every_button_of_a_device_is_known_by_one_name():
     assert {*keyboard.KEYS.values(), *gamepad._BUTTONS.values()} <= {*BUTTONS}
-    assert {*BUTTONS} & {*memory.BUTTONS} == {*memory.EPISODES, *memory.TAKES, "stop"}
+    assert {*BUTTONS} & {*buttons.BUTTONS} == {*buttons.EPISODES, *buttons.TAKES, "stop"}
 
 
 def test_arguments_are_numbers_truths_texts_and_tuples():

@@ -12,24 +12,10 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from dual_ur10.envs.rendering.live.buttons import BUTTONS
 from dual_ur10.errors import LinkError
 from dual_ur10.sim2real.processes.shared_memory import Layout, SharedBlock
 from dual_ur10.types import Array, Mask
-
-EPISODES: Final = ("record", "success", "discard", "reset")
-"""Names of the buttons that begin episodes, keep them, and throw them away."""
-
-TAKES: Final = ("take_left", "take_right", "take_both", "hand_back")
-"""Names of the buttons that take over arms and hand them back."""
-
-SPEEDS: Final[Mapping[str, float]] = {f"speed_{ratio:g}": ratio for ratio in (0.25, 0.5, 1.0, 2.0, 4.0)}
-"""Speeds of a simulation, as ratios to real time, by the names of the buttons that set them."""
-
-POLICIES: Final = tuple(f"policy_{number}" for number in range(16))
-"""Names of the buttons that let another policy act: by number, so that a page can name no other than the program."""
-
-BUTTONS: Final = (*EPISODES, *TAKES, "stop", "pause", "step", "next_seed", *SPEEDS, *POLICIES)
-"""Names of the buttons of a page; the program acts on them."""
 
 COMMANDERS: Final = ("policy", "operator", "nobody")
 """Who leads an arm, by the number in a row."""

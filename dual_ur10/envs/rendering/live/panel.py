@@ -9,10 +9,10 @@ from typing import Any, Final
 
 from dual_ur10.assets.visuals import FIXED_CAMERAS
 from dual_ur10.envs.rendering.live.about import About
+from dual_ur10.envs.rendering.live.buttons import BUTTONS, POLICIES, SPEEDS, TAKES
 from dual_ur10.envs.rendering.live.commander import Commander
 from dual_ur10.envs.rendering.live.drag_handles import DragHandles
 from dual_ur10.envs.rendering.live.drawing import APART_M, TARGET_RGB
-from dual_ur10.envs.rendering.live.memory import BUTTONS, POLICIES, SPEEDS, TAKES
 from dual_ur10.envs.rendering.live.viewpoints import START, look_from
 from dual_ur10.kinematics.ur10 import ARMS
 

@@ -34,4 +34,4 @@ __all__ = [
 
 def __dir__() -> list[str]:
     # The public names, and the parts of the package that were imported.
-    return sorted({*__all__, *({"envs", "errors", "policies", "tasks", "testing"} & globals().keys())})
+    return sorted({*__all__, *({"envs", "errors", "follower", "policies", "tasks", "testing"} & globals().keys())})

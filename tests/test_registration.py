@@ -17,12 +17,12 @@ import pytest
 from gymnasium.spaces import Box
 
 import dual_ur10
-from dual_ur10 import envs, ids, policies
+from dual_ur10 import ids, policies
 from dual_ur10.envs import dm_env, parallel_env
-from dual_ur10.envs.core.follower import home_of
 from dual_ur10.envs.core.setup import load_task
 from dual_ur10.envs.tasks.sine_tracking.task import SineTracking
 from dual_ur10.errors import CheckpointError, SettingsError, UnknownNameError
+from dual_ur10.follower import home_of, make_follower
 from dual_ur10.ids import TASKS, env_id_of
 from dual_ur10.policies import evaluate
 from dual_ur10.policies.baselines import ZeroPolicy
@@ -329,7 +329,7 @@ def test_an_unknown_name_comes_with_the_nearest_one(both):
 
 
 PUBLIC = {
-    "dual_ur10": {"envs", "errors", "policies", "tasks", "testing"},
+    "dual_ur10": {"envs", "errors", "follower", "policies", "tasks", "testing"},
     "dual_ur10.envs": set(),
     "dual_ur10.kinematics": set(),
     "dual_ur10.policies": set(),
@@ -406,7 +406,7 @@ def test_settings_and_trajectories_show_what_was_chosen():
     assert repr(dual_ur10.CellConfig(speed_rad_s=0.5, meshes=True)) == "CellConfig(meshes=True, speed_rad_s=0.5)"
     points = JointTrajectory(("left",), np.array([0.0, 1.5]), np.zeros((2, 1, 6)))
     assert repr(points) == "JointTrajectory(left, 2 points, 1.5 s)"
-    with envs.make_follower("mujoco") as follower:
+    with make_follower("mujoco") as follower:
         follower.start(home_of("mujoco"))
         assert repr(follower) == "TrajectoryExecutor(MujocoCell, at rest)"
     assert repr(follower) == "TrajectoryExecutor(MujocoCell, closed)"

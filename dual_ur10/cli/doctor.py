@@ -121,7 +121,7 @@ def repeatability(
     """
     import numpy as np
 
-    from dual_ur10.envs.core.follower import home_of, make_follower
+    from dual_ur10.follower import home_of, make_follower
     from dual_ur10.sim2real.trajectory.repeatability import UR10_M, returns, spread_of
 
     check_extras(cell=cell)

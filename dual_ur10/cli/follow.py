@@ -108,7 +108,7 @@ def follow(
     The arms first move to the first point: on two controllers slowly, once you confirm it. There, --to without a file
     is this slow motion. Ctrl-C stops both arms on the path; a second one closes the cell.
     """
-    from dual_ur10.envs.core.follower import home_of, make_follower
+    from dual_ur10.follower import home_of, make_follower
 
     check_extras(cell=cell)
     chosen = keywords_of(None, perturbed, on_virtual(cell, None)).get("cell", "mujoco")

@@ -6,30 +6,15 @@
 
 These three take the name of a task or an id, and load MuJoCo only when called. Their classes are in the modules of the
 same names (`from dual_ur10.envs.api.parallel_env import DualArmParallelEnv`).
-
-`make_follower` makes an executor of trajectories on the same cells, without a task.
 """
 
 from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
 
 # Bound at import: a module imported later would otherwise replace the function of the same name.
 from dual_ur10.envs.api.dm_env import dm_env
 from dual_ur10.envs.api.parallel_env import aec_env, parallel_env
 
-if TYPE_CHECKING:
-    from dual_ur10.envs.core.follower import make_follower
-
-__all__ = ["aec_env", "dm_env", "make_follower", "parallel_env"]
-
-
-def __getattr__(name: str) -> Any:
-    if name == "make_follower":  # on first use, because it loads MuJoCo
-        from dual_ur10.envs.core.follower import make_follower
-
-        return make_follower
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__all__ = ["aec_env", "dm_env", "parallel_env"]
 
 
 def __dir__() -> list[str]:

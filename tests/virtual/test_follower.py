@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from dual_ur10.assets.settings import HOME_Q_RAD
-from dual_ur10.envs import make_follower
-from dual_ur10.envs.core.follower import LEAD_S
 from dual_ur10.errors import StartError
+from dual_ur10.follower import LEAD_S, make_follower
 from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.runtime.arm_sender import MOST_LATE_S
 from dual_ur10.sim2real.runtime.runner import MARGIN_S, SHOWN_STATES

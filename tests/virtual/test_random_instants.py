@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dual_ur10.assets.settings import HOME_Q_RAD
-from dual_ur10.envs import make_follower
+from dual_ur10.follower import make_follower
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.trajectory import GoalState, ResultCode, TrajectoryGoal

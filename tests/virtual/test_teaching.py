@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from dual_ur10.cli import teach as teach_command
-from dual_ur10.envs import make_follower
-from dual_ur10.envs.core.follower import home_of
 from dual_ur10.errors import CellFaulted, StartError, TrajectoryError
+from dual_ur10.follower import home_of, make_follower
 from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.runtime import program_link

@@ -1,4 +1,4 @@
 """Records of runs: MCAP writer and reader, the recorder process, and the black box.
 
-Imports `sim2real.{config, control, runtime}`; imported by `envs.core`, `policies` and `sim2real.analysis`.
+Imports `sim2real.{config, control, runtime}`. Environments load it only where there is something to record.
 """

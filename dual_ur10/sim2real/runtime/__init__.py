@@ -5,6 +5,6 @@
                    │                └── supervisor ── own RTDE links, dashboard ──▶ both
                    └──────────── shared memory: targets, states, stops, latch ─────────────┘
 
-The only package that loads `ur_rtde`. Imports the lower layers of `sim2real`, never `ur_emulator`. Imported by
-`sim2real.recording` and `envs.core`.
+The only package that loads `ur_rtde`. Imports the lower layers of `sim2real`, never `ur_emulator`. Environments load it
+only for a cell of controllers.
 """

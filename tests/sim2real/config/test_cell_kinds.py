@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from dual_ur10 import CellConfig
-from dual_ur10.envs import make_follower
 from dual_ur10.envs.sim.mujoco_cell import make_mujoco_cell
 from dual_ur10.errors import ResetRefusedError, SettingsError, UnknownNameError
+from dual_ur10.follower import make_follower
 from dual_ur10.policies.training.settings import defaults
 from dual_ur10.sim2real.config.cell_kinds import CELL_KINDS, register_cell
 from dual_ur10.sim2real.recording.reader import read_run

@@ -5,9 +5,9 @@ import pytest
 
 from dual_ur10 import TYPICAL_PERTURBATION, CellConfig, ServojProfile
 from dual_ur10.assets.settings import HOME_Q_RAD
-from dual_ur10.envs import make_follower
 from dual_ur10.envs.sim.echo_cell import EchoCell
 from dual_ur10.errors import CollisionAtStartError, UnknownNameError
+from dual_ur10.follower import make_follower
 from dual_ur10.sim2real.trajectory import JointTrajectory, ResultCode, TrajectoryGoal
 from tests.sim2real.trajectory.following import wave
 

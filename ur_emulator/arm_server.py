@@ -13,17 +13,18 @@ from dual_ur10.errors import OperationRefusedError, ProtocolError, ScriptError, 
 from dual_ur10.kinematics.ur10 import DHParameters
 from dual_ur10.sim2real.protocol.primary_messages import version_message
 from dual_ur10.sim2real.protocol.primary_packet import RATE_HZ, PrimaryPacket
-from dual_ur10.sim2real.protocol.text_lines import LineReader
+from dual_ur10.sim2real.protocol.text_lines import LineReader, refuse_http
 from ur_emulator.addresses import PORTS
 from ur_emulator.controller import Controller
 from ur_emulator.dashboard import GREETING, Dashboard
 from ur_emulator.grippers import EmulatedGripper
 from ur_emulator.pendant import Pendant
 from ur_emulator.profile import ControllerProfile
+from ur_emulator.program_reader import ProgramReader
 from ur_emulator.realtime_packet import RealtimePacket
 from ur_emulator.rtde_recipes import OutputRecipe
 from ur_emulator.rtde_session import RtdePort, RtdeSession
-from ur_emulator.script import Program, Splitter, read
+from ur_emulator.script import Program, Splitter
 from ur_emulator.sockets import Hub, Port
 
 log = logging.getLogger(__name__)
@@ -63,7 +64,11 @@ class LinePeer:
 
     def received(self, data: bytes) -> bytes:
         """Answer received bytes."""
-        return "".join(self._answer(line) + self._end for line in self._lines.feed(data)).encode("utf-8", "replace")
+        answers = []
+        for line in self._lines.feed(data):
+            refuse_http(line)
+            answers.append(self._answer(line) + self._end)
+        return "".join(answers).encode("utf-8", "replace")
 
     def closed(self) -> None:
         """Do nothing: the peer has no state."""
@@ -149,8 +154,7 @@ class ArmServer:
         self._sent_mode = controller.safety.safety_mode
         self._scripts: deque[tuple[float, str, Future[Program | ScriptError]]] = deque()
         self._hub = hub
-        # Parsing must not delay control periods, nor the other arm's programs.
-        self._reader = hub.system.worker(f"{controller.name} programs")
+        self._reader = ProgramReader(hub.system, controller.name, controller.program.builtins)
         self._rtde = RtdePort(
             controller.profile,
             controller.registers,
@@ -223,7 +227,7 @@ class ArmServer:
         self.controller.received.upload(self.controller.ticks, text)
         if len(self._scripts) >= _MAX_SCRIPTS:
             raise ProtocolError(f"{_MAX_SCRIPTS} programs are waiting already")
-        found = self._reader.submit(read, text, self.controller.program.builtins)
+        found = self._reader.submit(text)
         self._scripts.append((self.controller.time_s, text, found))
 
     def _command(self, text: str, command: Callable[[Pendant], None]) -> None:
@@ -264,8 +268,8 @@ class ArmServer:
             ports["primary"].broadcast(lambda: message)  # noqa: B023  # called at once
 
     def close(self) -> None:
-        """Close all ports."""
-        self._reader.shutdown(wait=False, cancel_futures=True)
+        """Close all ports, and end what reads programs. May be called twice."""
+        self._reader.close()
         self.controller.sockets.shut_down()
         for port in self.ports.values():
             port.close()

@@ -52,7 +52,7 @@ MAX_STALL_S: Final = 0.25
 """Longest stall of the machine that is caught up with. The time of longer stalls is lost."""
 
 _FRAME_S: Final = 1 / 30
-_SWITCH_S: Final = 0.0002  # longest delay of a control period by the thread that parses programs
+_SWITCH_S: Final = 0.0002  # longest wait of a control period for a thread that reads a program
 _LATE: Final = 200  # kept numbers of control periods that began more than a period late
 _LATENESS: Final = 20_000  # kept latenesses
 _LATENESS_REPORTED: Final = 10_000
@@ -306,6 +306,8 @@ class Emulator:
     def close(self) -> None:
         """End everything. May be called twice."""
         self.ended = True
+        for server in self.servers:
+            server.close()
         self._hub.close()
         if self._viewer is not None:
             self._viewer.close()
@@ -317,6 +319,7 @@ def run(emulators: Sequence[Emulator], system: System = LOCAL) -> None:
     with contextlib.suppress(SettingsError):  # without a state folder there is nothing to clear away
         clear_ended(system)
     system.dedicate()
+    sys.setswitchinterval(_SWITCH_S)
     for each in emulators:
         each.begin()
     while running := [each for each in emulators if not each.ended]:
@@ -458,7 +461,6 @@ def main() -> None:
         return
     print(json.dumps(emulator.description()), flush=True)  # noqa: T201  # the answer that EmulatedCell waits for
     threading.Thread(target=_end_with_input, args=(emulator,), daemon=True).start()
-    sys.setswitchinterval(_SWITCH_S)
     with contextlib.suppress(KeyboardInterrupt):
         emulator.run()
     emulator.close()

@@ -232,6 +232,19 @@ def test_endless_lines_and_programs_end_the_connection(cell):
 
 
 @pytest.mark.usefixtures("undisturbed")
+def test_a_request_of_a_browser_ends_the_connection_and_runs_nothing(cell):
+    uploads = cell.ask("received", arm="left")["uploads"]
+    body = b'def p():\n  popup("run")\nend\npower off\n{"do": "slider", "arm": "left", "fraction": 0.1}\n'
+    for port in (29999, 30001, 30002, 30003, cell.port):
+        with client(cell, port) as sock:
+            sock.sendall(b"POST /x HTTP/1.1\r\nContent-Type: text/plain\r\n\r\n" + body)
+            assert is_closed(sock), port
+    assert cell.ask("received", arm="left")["uploads"] == uploads
+    assert state(cell, "target_speed_fraction") == 1.0
+    works(cell)
+
+
+@pytest.mark.usefixtures("undisturbed")
 def test_a_script_that_never_yields_is_stopped_on_its_arm(cell):
     with client(cell, 30001) as sock:
         sock.recv(1000)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import inspect
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 from ur_emulator.script import syntax
 from ur_emulator.script.manual import NAMES
@@ -10,20 +12,38 @@ from ur_emulator.script.scopes import Function, Names
 from ur_emulator.script.values import Builtins, VersionBuiltins
 
 
+class Interface(NamedTuple):
+    """Part of a builtin on which the code of a program depends. It can stand in for the builtin in another process.
+
+    Attributes:
+        blocks: Whether it blocks.
+        signature: Its parameters.
+    """
+
+    blocks: bool
+    signature: inspect.Signature
+
+
+def interface(builtin: Callable[..., Any] | Interface) -> Interface:
+    """Return the interface of a builtin."""
+    if isinstance(builtin, Interface):
+        return builtin
+    return Interface(inspect.isgeneratorfunction(builtin), inspect.signature(builtin))
+
+
 class Calls:
     """Checked calls of a program.
 
     Attributes:
-        used: For each builtin that the program calls, by name, whether it blocks.
+        used: Interfaces of the builtins that the program calls, by name.
 
     Raises:
         ScriptSyntaxError: A call names an unknown function, or its arguments do not fit.
     """
 
     def __init__(self, names: Names, builtins: Builtins) -> None:
-        self.used: dict[str, bool] = {}
+        self.used: dict[str, Interface] = {}
         self._builtins = builtins
-        self._signatures: dict[str, inspect.Signature] = {}
         callers: dict[int, list[Function]] = {}
         callees: dict[int, list[Function]] = {}
         blocking: list[Function] = []
@@ -60,14 +80,13 @@ class Calls:
         if call.runs:
             raise syntax.error(call.at, "only a thread can be run")
         if name not in self.used:
-            function = self._builtins[name]
-            self.used[name] = inspect.isgeneratorfunction(function)
-            self._signatures[name] = inspect.signature(function)
+            self.used[name] = interface(self._builtins[name])
+        used = self.used[name]
         try:
-            self._signatures[name].bind(*call.arguments, **{str(key): None for key, _ in call.keywords})
+            used.signature.bind(*call.arguments, **{str(key): None for key, _ in call.keywords})
         except TypeError as error:
             raise syntax.error(call.at, str(error)) from None
-        return self.used[name]
+        return used.blocks
 
 
 def _joins(body: list[syntax.Statement]) -> bool:

@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
+import marshal
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from inspect import isgeneratorfunction, signature
 from threading import Lock
 from types import CodeType
-from typing import Final
+from typing import Any, Final, cast
 
 from lark import Token
 
 from dual_ur10.errors import ScriptError, SettingsError
 from ur_emulator.script import syntax
-from ur_emulator.script.calls import Calls
+from ur_emulator.script.calls import Calls, Interface, interface
 from ur_emulator.script.compiler import generate
 from ur_emulator.script.parser import parse_text
 from ur_emulator.script.scopes import Names
-from ur_emulator.script.values import Builtins
+from ur_emulator.script.values import Builtins, VersionBuiltins
 
 UNNAMED: Final = "unnamed"
 """Name of a program without an enclosing `def`."""
@@ -36,14 +36,17 @@ class Program:
         is_secondary: Whether it is a secondary program (`sec`), which runs beside the main one.
         lines: Source lines.
         code: Python code that runs it.
-        used: Builtins that it calls, by name: whether each blocks, and its parameters.
+        used: Interfaces of the builtins that it calls, by name.
     """
 
     name: str
     is_secondary: bool
     lines: tuple[str, ...]
     code: CodeType
-    used: Mapping[str, tuple[bool, str]]
+    used: Mapping[str, Interface]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _program, (self.name, self.is_secondary, self.lines, marshal.dumps(self.code), self.used)
 
     def check(self, builtins: Builtins) -> None:
         """Check that builtins match those that the program was parsed for.
@@ -51,11 +54,20 @@ class Program:
         Raises:
             SettingsError: One is missing, or has another kind or other parameters.
         """
-        for name, interface in self.used.items():
-            if name not in builtins or _interface(builtins, name) != interface:
-                raise SettingsError(
-                    f"builtin {name!r} differs from the one that the program was parsed for: {interface}"
-                )
+        for name, used in self.used.items():
+            if name not in builtins or interface(builtins[name]) != used:
+                raise SettingsError(f"builtin {name!r} differs from the one that the program was parsed for: {used}")
+
+
+def _program(
+    name: str, is_secondary: bool, lines: tuple[str, ...], code: bytes, used: Mapping[str, Interface]
+) -> Program:
+    """Return the program of a process that compiled it with this Python."""
+    return Program(name, is_secondary, lines, marshal.loads(code), used)
+
+
+Compiler = Callable[[str, Builtins], Program | ScriptError]
+"""Function from a program's text and builtins to the program, or its error."""
 
 
 # Clients send the same text with every connection.
@@ -63,7 +75,21 @@ _CACHE: Final[OrderedDict[str, Program]] = OrderedDict()
 _CACHE_LOCK: Final = Lock()  # several threads may parse programs
 
 
-def parse(text: str, builtins: Builtins) -> Program:
+def compiled(text: str, builtins: Builtins) -> Program | ScriptError:
+    """Compile a program, and return it or its error. Interfaces can stand in for the builtins."""
+    try:
+        return _read(text, builtins)
+    except ScriptError as error:
+        return error
+
+
+def interfaces(builtins: Builtins) -> Builtins:
+    """Return what can be sent to another process, and stands in for builtins there."""
+    absent = builtins.absent if isinstance(builtins, VersionBuiltins) else {}
+    return VersionBuiltins(cast(Builtins, {name: interface(each) for name, each in builtins.items()}), absent)
+
+
+def parse(text: str, builtins: Builtins, compiler: Compiler = compiled) -> Program:
     r"""Parse a program.
 
     Args:
@@ -71,6 +97,7 @@ def parse(text: str, builtins: Builtins) -> Program:
             \r\n.
         builtins: Functions that it may call, by name. Generator functions block. None is called here: the program can
             run with any others of the same names, parameters and kinds.
+        compiler: Function that compiles it, if it is not known already.
 
     Raises:
         ScriptSyntaxError: The text does not follow the grammar, or uses a name that is unknown or does not fit.
@@ -80,7 +107,9 @@ def parse(text: str, builtins: Builtins) -> Program:
         with suppress(SettingsError):
             known.check(builtins)
             return known
-    program = _read(text, builtins)
+    program = compiler(text, builtins)
+    if isinstance(program, ScriptError):
+        raise program
     with _CACHE_LOCK:
         _CACHE[text] = program
         if len(_CACHE) > _CACHE_MAX:
@@ -109,18 +138,12 @@ def _read(text: str, builtins: Builtins) -> Program:
         code = generate(main, names, calls, builtins)
     except (RecursionError, MemoryError):
         raise syntax.error(main.at, "the program is too large, or nested too deeply") from None
-    used = {each: _interface(builtins, each) for each in calls.used}
-    return Program(name, main.kind == "sec", tuple(text.split("\n")), code, used)
+    return Program(name, main.kind == "sec", tuple(text.split("\n")), code, calls.used)
 
 
-def _interface(builtins: Builtins, name: str) -> tuple[bool, str]:
-    function = builtins[name]
-    return isgeneratorfunction(function), str(signature(function))
-
-
-def read(text: str, builtins: Builtins) -> Program | ScriptError:
-    """Parse a program, and return it or its error. Any thread may call this."""
+def read(text: str, builtins: Builtins, compiler: Compiler = compiled) -> Program | ScriptError:
+    """Parse a program, and return it or its error; see `parse`. Any thread may call this."""
     try:
-        return parse(text, builtins)
+        return parse(text, builtins, compiler)
     except ScriptError as error:
         return error

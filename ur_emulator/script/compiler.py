@@ -21,7 +21,7 @@ from typing import Any, Final
 from lark import Token
 
 from ur_emulator.script import syntax
-from ur_emulator.script.calls import Calls
+from ur_emulator.script.calls import Calls, interface
 from ur_emulator.script.operations import OPERATIONS
 from ur_emulator.script.scopes import Function, Names
 from ur_emulator.script.values import Builtins
@@ -126,7 +126,7 @@ class _FunctionCompiler:
         builtin = f"set_{node.at}"
         if node.at != "digital_out" or builtin not in self._builtins or len(node.items) != 1:
             raise syntax.unknown(node.at, "nothing assigns this variable")
-        self._calls.used.setdefault(builtin, False)
+        self._calls.used.setdefault(builtin, interface(self._builtins[builtin]))
         where = _where(node.at)
         return ast.Call(ast.Name("b_" + builtin, _LOAD, **where), [self._expression(node.items[0]), value], [], **where)
 
@@ -222,7 +222,7 @@ class _FunctionCompiler:
         if node.runs:
             return ast.Call(ast.Name("n_run", _LOAD, **where), [callee, *arguments], keywords, **where)
         call = ast.Call(callee, arguments, keywords, **where)
-        blocks = self._calls.used[name] if target is None else target.blocks
+        blocks = self._calls.used[name].blocks if target is None else target.blocks
         return ast.YieldFrom(call, **where) if blocks else call
 
     def _index(self, node: syntax.Index) -> ast.expr:

@@ -11,6 +11,7 @@ import re
 from typing import Final
 
 from dual_ur10.errors import ProtocolError
+from dual_ur10.sim2real.protocol.text_lines import refuse_http
 
 PROGRAM_MAX: Final = 1 << 18
 """Bytes of the longest program."""
@@ -34,7 +35,7 @@ class Splitter:
         """Add received bytes and return the programs that they complete.
 
         Raises:
-            ProtocolError: More than `PROGRAM_MAX` bytes have come without the end of a program.
+            ProtocolError: More than `PROGRAM_MAX` bytes have come without the end of a program, or HTTP has.
         """
         programs: list[str] = []
         *ends, rest = data.split(b"\n")
@@ -62,6 +63,7 @@ class Splitter:
 
     def _take(self, line: str, programs: list[str]) -> None:
         if not self._open and not _BEGINS.match(line):
+            refuse_http(line)
             if not _SILENT.match(line):
                 programs.append(line)
             self._held = 0

@@ -7,10 +7,11 @@ import math
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from dual_ur10.errors import VirtualCellError
 from dual_ur10.sim2real.processes.garbage import GarbageCollector, NoGarbageCollector
+from dual_ur10.sim2real.processes.remote_function import RemoteFunction
 from dual_ur10.sim2real.processes.system import System
 from dual_ur10.sim2real.processes.transport import Listener, Transport
 from ur_emulator.virtual.network import MemoryTransport, Network
@@ -23,6 +24,8 @@ from ur_emulator.virtual.scheduler import (
     VirtualEvent,
     VirtualLock,
 )
+
+T = TypeVar("T")
 
 KILLED: Final = -9
 """Exit code of a killed process."""
@@ -109,6 +112,13 @@ class _Inline(Executor):
         except Exception as error:
             future.set_exception(error)
         return future
+
+
+class _InlineFunction(RemoteFunction[T]):
+    """Function that computes at once, in the process that calls it."""
+
+    def __call__(self, *arguments: Any) -> T:
+        return self.function(*arguments)
 
 
 class VirtualSystem(System):
@@ -251,6 +261,10 @@ class VirtualSystem(System):
     def worker(self, name: str) -> Executor:
         """See `System`."""
         return _Inline()
+
+    def remote(self, function: Callable[..., T], name: str) -> RemoteFunction[T]:
+        """See `System`."""
+        return _InlineFunction(function, name)
 
 
 class _EndOfProcess(GreenletExit):  # type: ignore[misc]  # greenlet has no types

@@ -23,6 +23,7 @@ from dual_ur10.errors import SettingsError
 from dual_ur10.sim2real.processes.child_process import LONGER_SLICE_S, SLICE_S, Child, hasten, shorten_slice
 from dual_ur10.sim2real.processes.clock import Clock, SystemClock
 from dual_ur10.sim2real.processes.garbage import GarbageCollector
+from dual_ur10.sim2real.processes.remote_function import RemoteFunction
 from dual_ur10.sim2real.processes.transport import Listener, TcpListener, TcpTransport, Transport
 
 T = TypeVar("T")
@@ -289,6 +290,10 @@ class System:
     def worker(self, name: str) -> Executor:
         """Return an executor of one thread for computations."""
         return ThreadPoolExecutor(1, name)
+
+    def remote(self, function: Callable[..., T], name: str) -> RemoteFunction[T]:
+        """Return a function of this package that computes in a child process."""
+        return RemoteFunction(function, name)
 
 
 LOCAL: Final = System()

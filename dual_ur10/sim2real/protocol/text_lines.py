@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
+import re
 from typing import Final
 
 from dual_ur10.errors import ProtocolError
 
 MAX_LINE_BYTES: Final = 4096
 """Longest line. The text of a popup, the longest that a client needs, is far shorter."""
+
+_HTTP: Final = re.compile(r"[A-Z]+ \S+ HTTP/[\d.]+\s*")
+
+
+def refuse_http(line: str) -> None:
+    """Refuse the first line of an HTTP request: a web page must not command a controller on its reader's machine.
+
+    Raises:
+        ProtocolError: The line is one.
+    """
+    if _HTTP.fullmatch(line):
+        raise ProtocolError("this is a request of HTTP, which no port of a controller serves; the connection is closed")
 
 
 class LineReader:

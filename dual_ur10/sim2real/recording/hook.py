@@ -62,16 +62,13 @@ class RecordHook:
         self._seed, self._step = seed, 0
         self._rng = json.dumps(plain(rngs[0].bit_generator.state))
 
-    def reset(
-        self, observation: Array, state: CellState, sampled: Mapping[str, Any], begin_s: float | None = None
-    ) -> None:
+    def reset(self, observation: Array, state: CellState, sampled: Mapping[str, Any]) -> None:
         """Record a reset.
 
         Args:
             observation: (1, O).
             state: State of the cell.
             sampled: Randomized values, by name.
-            begin_s: Time of tick 0 on the run's clock; None: the recorder's present time.
         """
         row = BeginRow(
             seed=self._seed,
@@ -79,7 +76,6 @@ class RecordHook:
             flange_m=state.flange_m[0],
             observation=observation[0],
             initial_state=None if self._cell is None else self._cell.integration_state(),
-            begin_s=begin_s,
         )
         self.recorder.begin_episode(row)
         self.recorder.event("generator", self._rng)

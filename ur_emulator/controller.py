@@ -66,6 +66,8 @@ _LEVELS: Final[dict[int, messages.ReportLevel]] = {
 }
 """Severity of stops as reported, others VIOLATION. That of a protective stop: the tests of UR's client library."""
 
+_ENCODER_RAD: Final = 1e-12  # smallest motion that is measured: a solver leaves less than 1e-18 rad in an arm at rest
+
 STEADY_RAD: Final = 0.01
 STEADY_RAD_S: Final = 0.001
 REDUCED_SPEED: Final = 0.5  # ratio of the speed in reduced mode; a real one depends on the safety configuration
@@ -196,6 +198,9 @@ class Controller:
             (substeps, 3, 6): the motion, as `CellWorld.advance` takes it.
         """
         self.ticks += 1
+        before_rad = self.reading.q_rad
+        seen_rad = np.where(np.abs(reading.q_rad - before_rad) > _ENCODER_RAD, reading.q_rad, before_rad)
+        reading = reading._replace(q_rad=seen_rad)
         self.previous, self.reading = self.reading, reading
         self._measure(reading)
         self.motion.observe(reading.q_rad, reading.qd_rad_s)

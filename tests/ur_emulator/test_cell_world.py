@@ -11,6 +11,7 @@ from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.control.servoj import ServojProfile
+from tests.ur_emulator.ticking import Cell
 from ur_emulator.cell_world import CellWorld
 from ur_emulator.motion import JointTorques, Motion
 from ur_emulator.world import PlantOptions
@@ -44,6 +45,18 @@ def test_arms_stand_where_the_task_begins(task, family):
         assert np.allclose(reading.wrench, 0.0, atol=1e-6)
         assert abs(reading.torque_nm[1]) > 20.0
         assert (reading.gripper_m is None) == (task in (None, "SineTracking"))
+
+
+def test_a_nominal_arm_at_rest_reports_equal_joints():
+    cell = Cell(family="e-series")
+    controller = cell.emulator.servers[0].controller
+    controller.run_script("movej([0, -1.57, -1.57, -1.57, 1.57, 0], a=3, v=3)")
+    cell.tick(1200)
+    at_rest = {np.array(controller.values["actual_q"]).tobytes() for _ in range(300) if cell.tick() is None}
+    away_rad = np.abs(controller.values["actual_q"] - cell.emulator.world.read(0).q_rad).max()
+    cell.close()
+    assert len(at_rest) == 1
+    assert 0.0 < away_rad <= 1e-12
 
 
 def test_a_nominal_arm_follows_its_controller_exactly():

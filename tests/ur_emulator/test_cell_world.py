@@ -51,7 +51,7 @@ def test_a_nominal_arm_at_rest_reports_equal_joints():
     cell = Cell(family="e-series")
     controller = cell.emulator.servers[0].controller
     controller.run_script("movej([0, -1.57, -1.57, -1.57, 1.57, 0], a=3, v=3)")
-    cell.tick(1200)
+    cell.tick(2000)
     at_rest = {np.array(controller.values["actual_q"]).tobytes() for _ in range(300) if cell.tick() is None}
     away_rad = np.abs(controller.values["actual_q"] - cell.emulator.world.read(0).q_rad).max()
     cell.close()

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from statistics import NormalDist
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -49,12 +50,12 @@ def wilson_interval(successes: int, trials: int, confidence: float = CONFIDENCE)
         raise SettingsError(f"confidence is {confidence!r}: it must be between 0 and 1")
     if trials == 0:
         return 0.0, 1.0
-    from scipy.stats import binomtest  # here, because its import takes a second
-
-    found = binomtest(successes, trials).proportion_ci(confidence, method="wilson")
-    rate = successes / trials
+    rate, z = successes / trials, NormalDist().inv_cdf((1.0 + confidence) / 2.0)
+    weight = z * z / trials
+    center = (rate + weight / 2.0) / (1.0 + weight)
+    half = math.sqrt(weight * (rate * (1.0 - rate) + weight / 4.0)) / (1.0 + weight)
     # The interval always holds the observed rate: rounding must not exclude it.
-    low, high = min(rate, float(found.low)), max(rate, float(found.high))
+    low, high = min(rate, center - half), max(rate, center + half)
     return (0.0 if successes == 0 else low), (1.0 if successes == trials else high)
 
 

@@ -44,13 +44,13 @@ check-python-of-tests: $(VENV)/bin/python
 $(VENV)/bin/python: | check-python
 	@$(PYTHON) -m venv $(VENV)
 
-# What the demo needs: the package, its plots, and ur_rtde for the emulated controllers. No torch. Where ur_rtde cannot
-# be installed, the demo says so and shows the rest.
+# What the demo needs: the package, its plots, the emulator, and ur_rtde as its client. No torch. Where ur_rtde cannot be
+# installed, the demo says so and shows the rest.
 $(VENV)/.demo: pyproject.toml constraints.txt $(VENV)/bin/python
 	@echo "Installing dual-ur10 with its plots and ur_rtde into $(VENV) ..."
-	@$(VENV)/bin/python -m pip install $(PIP_FLAGS) -c constraints.txt -e '.[plot,real]' || { \
+	@$(VENV)/bin/python -m pip install $(PIP_FLAGS) -c constraints.txt -e '.[plot,emulator,real]' || { \
 	  echo "ur_rtde could not be installed: trying without it."; \
-	  $(VENV)/bin/python -m pip install $(PIP_FLAGS) -c constraints.txt -e '.[plot]'; }
+	  $(VENV)/bin/python -m pip install $(PIP_FLAGS) -c constraints.txt -e '.[plot,emulator,records]'; }
 	@touch $@
 
 # What the tests need, too.

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any, Final
 
 import numpy as np
 
-from dual_ur10.errors import MotionError
+from dual_ur10.errors import MissingExtraError, MotionError
 from dual_ur10.kinematics.dynamics import inverse_dynamics, mass_matrix
 from dual_ur10.kinematics.robots import robot_model
 from dual_ur10.types import Array
@@ -62,8 +63,10 @@ def dynamics_builtins(controller: Controller) -> Builtins:
     """Return the queries by name. Joint positions, speeds and TCP that are left out are the present ones."""
     motion, robot = controller.motion, controller.dh.robot
     if controller.profile.at_least((5, 21)):
-        # The first call imports pinocchio, for which no control period has the time.
-        mass_matrix(motion.q, robot=robot)
+        # The first call imports pinocchio, for which no control period has the time. A program that asks for it where
+        # it is missing ends with an error that says so.
+        with contextlib.suppress(MissingExtraError):
+            mass_matrix(motion.q, robot=robot)
 
     def given(values: Any, present: Array, what: str) -> Array:
         controller.spend(SOLUTION_STEPS // 5)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 import subprocess
@@ -12,7 +13,7 @@ from pathlib import Path
 from typing import IO, Any, Final
 
 from dual_ur10 import errors
-from dual_ur10.errors import DualUR10Error, EmulatorError, SettingsError
+from dual_ur10.errors import DualUR10Error, EmulatorError, MissingExtraError, SettingsError
 from dual_ur10.sim2real.links.json_link import JsonLink
 from dual_ur10.sim2real.processes.system import LOCAL
 from ur_emulator.cell_requests import CellRequests
@@ -43,10 +44,13 @@ class EmulatorProcess(CellRequests):
     Raises:
         AddressError: An address cannot be used.
         EmulatorError: The process did not start.
+        MissingExtraError: lark is not installed.
         DualUR10Error: An option is invalid.
     """
 
     def __init__(self, log: str | Path | None, options: Mapping[str, Any]) -> None:
+        if importlib.util.find_spec("lark") is None:  # before the process ends without it
+            raise MissingExtraError("lark", "emulator", "an emulated controller")
         # The other process writes and this one reads. Appending keeps the write position independent of reads.
         if log is None:
             self._log: IO[str] = tempfile.TemporaryFile("a+")  # noqa: SIM115  # closed with the cell

@@ -12,7 +12,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from dual_ur10.cli.options import console
+from dual_ur10.cli.options import check_extras, console
 from dual_ur10.errors import CalibrationError, SettingsError, UnknownNameError
 from dual_ur10.files import check_target
 from dual_ur10.kinematics.ur10 import ARMS, DHParameters
@@ -77,6 +77,7 @@ def calibrate(
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of simulated touches.")] = 0,
 ) -> None:
     """Estimate where the right base stands in the left one's frame, with its uncertainty. Moves nothing."""
+    check_extras(("calibration", "an estimate of the bases"))
     from dual_ur10.sim2real.analysis.cell_update import doubt_about, write_bases
     from dual_ur10.sim2real.calibration import data_file
     from dual_ur10.sim2real.calibration.estimate import estimate

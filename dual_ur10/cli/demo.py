@@ -9,6 +9,7 @@ import typer
 from rich.markup import escape
 
 from dual_ur10.cli import options
+from dual_ur10.errors import MissingExtraError
 
 if TYPE_CHECKING:
     from dual_ur10.sim2real.analysis.page import Table
@@ -22,6 +23,7 @@ def demo(
 
     The last runs use two emulated controllers, through ur_rtde, in real time: leave the machine alone meanwhile.
     """
+    _check_extras()
     from dual_ur10.cli.demo_report import emulated
     from dual_ur10.cli.demo_report.report import TASKS
     from dual_ur10.cli.demo_report.run import run_demo
@@ -60,6 +62,24 @@ def demo(
         _say(f"[yellow]{escape(warning)}[/]")
     if found.failures:
         _say(emulated.ON_FAILURE)
+
+
+def _check_extras() -> None:
+    """Check what the report needs. Without ur_rtde, which has no wheels for some machines, it says so and has the rest.
+
+    Raises:
+        MissingExtraError: A package is not installed.
+    """
+    needs = (
+        ("plot", "the demonstration's report"),
+        ("records", "reading its records"),
+        ("emulator", "its emulated controllers"),
+    )
+    try:
+        options.check_extras(*needs)
+    except MissingExtraError:
+        options.check_extras(*needs, ("real", "moving their arms"))  # one request for all
+        raise
 
 
 def _say(text: str) -> None:

@@ -244,16 +244,19 @@ def progress_of(console: Console, asked: bool = False, left: bool = True) -> Pro
 
 
 PACKAGES: Final[Mapping[str, Mapping[str, str]]] = {
-    "calibration": {"OpenCV": "cv2"},
+    "calibration": {"OpenCV": "cv2", "PyYAML": "yaml", "scipy": "scipy", "tomlkit": "tomlkit"},
     "data": {"Minari": "minari"},
+    "dm": {"dm-env": "dm_env", "dm-control": "dm_control"},
+    "dynamics": {"pin": "pinocchio"},
+    "emulator": {"lark": "lark"},
     "live": {"viser": "viser"},
-    "plot": {"matplotlib": "matplotlib", "imageio-ffmpeg": "imageio_ffmpeg"},
-    "real": {"ur_rtde": "rtde_control"},
-    "records": {"mcap": "mcap", "mcap-ros2-support": "mcap_ros2"},
+    "plot": {"matplotlib": "matplotlib", "imageio-ffmpeg": "imageio_ffmpeg", "jinja2": "jinja2"},
+    "real": {"ur_rtde": "rtde_control", "PyYAML": "yaml", "scipy": "scipy"},
+    "records": {"mcap": "mcap", "mcap-ros2-support": "mcap_ros2", "scipy": "scipy", "tomlkit": "tomlkit"},
     "serial": {"pyserial": "serial"},
     "teleop": {"PySDL2": "sdl2", "pyserial": "serial"},
     "train": {"stable-baselines3": "stable_baselines3", "torch": "torch"},
-    "virtual": {"greenlet": "greenlet", "ur_rtde": "rtde_control"},
+    "virtual": {"greenlet": "greenlet", "lark": "lark", "ur_rtde": "rtde_control"},
 }
 """Modules by which packages are found, by extra and package."""
 

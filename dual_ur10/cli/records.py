@@ -156,6 +156,7 @@ def fit(
     allow_partial: Partial = False,
 ) -> None:
     """Estimate lookahead and latency of each arm from a recorded run in which both arms move."""
+    check_extras(("records", "reading a record"))
     from dual_ur10.sim2real.analysis.cell_update import write_back
     from dual_ur10.sim2real.analysis.fit import fit as fitted
     from dual_ur10.sim2real.analysis.fit import remark

@@ -10,11 +10,22 @@ same names (`from dual_ur10.envs.api.parallel_env import DualArmParallelEnv`).
 
 from __future__ import annotations
 
-# Bound at import: a module imported later would otherwise replace the function of the same name.
-from dual_ur10.envs.api.dm_env import dm_env
+from typing import TYPE_CHECKING, Any
+
 from dual_ur10.envs.api.parallel_env import aec_env, parallel_env
 
+if TYPE_CHECKING:
+    from dual_ur10.envs.api.dm_env import dm_env
+
 __all__ = ["aec_env", "dm_env", "parallel_env"]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "dm_env":  # it needs the extra `dm`
+        from dual_ur10.envs.api.dm_env import dm_env
+
+        return dm_env
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dual_ur10.errors import SettingsError
+from dual_ur10.errors import MissingExtraError, SettingsError
 from dual_ur10.kinematics.forward import checked_joints, fixed_transforms
 from dual_ur10.kinematics.robots import robot_model
 from dual_ur10.kinematics.ur10 import nominal_dh
@@ -20,7 +20,10 @@ from dual_ur10.types import Array, Vector3
 @lru_cache(maxsize=32)
 def _model(robot: str, payload_kg: float, payload_com_m: Vector3, gravity: bool) -> tuple[Any, Any, Any]:
     """Return pinocchio's module, model and data of a nominal arm with a point mass at the flange."""
-    pin = importlib.import_module("pinocchio")  # here, because it takes longer to import than the rest of the package
+    try:
+        pin = importlib.import_module("pinocchio")  # here, as it takes longer to import than the rest of the package
+    except ImportError:
+        raise MissingExtraError("pin", "dynamics", "the dynamics of an arm") from None
     model, facts = pin.Model(), robot_model(robot)
     joint, placement = 0, np.eye(4)
     for link, fixed in enumerate(fixed_transforms(nominal_dh(robot))):
@@ -65,6 +68,7 @@ def inverse_dynamics(
         Torques (..., 6) in N·m.
 
     Raises:
+        MissingExtraError: pin is not installed.
         SettingsError: Not six joints, or a payload that is negative or not finite.
         UnknownNameError: There is no such model.
     """
@@ -92,6 +96,7 @@ def mass_matrix(
         robot: Model of the arm, a name in ``dual_ur10.kinematics.robots.ROBOTS``.
 
     Raises:
+        MissingExtraError: pin is not installed.
         SettingsError: Not six joints, or a payload that is negative or not finite.
         UnknownNameError: There is no such model.
     """

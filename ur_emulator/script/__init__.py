@@ -1,5 +1,12 @@
 """URScript interpreter: parse, check and run programs of UR controllers, one control period at a time."""
 
+from dual_ur10.errors import MissingExtraError
+
+try:
+    import lark  # noqa: F401
+except ImportError:
+    raise MissingExtraError("lark", "emulator", "an emulated controller") from None
+
 from ur_emulator.script.compiled import Program, parse, read
 from ur_emulator.script.library import library
 from ur_emulator.script.machine import Machine, Thread

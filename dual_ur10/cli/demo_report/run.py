@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,7 +20,7 @@ from dual_ur10.cli.demo_report.emulated import (
 )
 from dual_ur10.cli.demo_report.film import Film, shoot
 from dual_ur10.cli.demo_report.report import TASKS, Findings, write_report
-from dual_ur10.errors import DualUR10Error, MissingExtraError, RenderError
+from dual_ur10.errors import DualUR10Error, RenderError
 from dual_ur10.policies.evaluation.film import Take, take
 
 # In seconds on two cores without a GPU, for the estimate of the time left.
@@ -85,10 +84,8 @@ def run_demo(out: Path, *, quick: bool = False, progress: Progress = lambda *_: 
         progress: Called as the work proceeds.
 
     Raises:
-        MissingExtraError: matplotlib or imageio is not installed. Nothing has been run.
         DualUR10Error: `out` cannot be written to.
     """
-    check_extra()
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -184,17 +181,3 @@ def _do(jobs: list[_Job], progress: Progress) -> None:
         job.do(ratio_of(job, done))
         done += job.cost_s
     progress("done", total, total)
-
-
-def check_extra() -> None:
-    """Check that the packages which draw are installed.
-
-    Raises:
-        MissingExtraError: One is not.
-    """
-    for package in ("matplotlib", "imageio", "imageio_ffmpeg"):
-        try:
-            __import__(package)
-        except ImportError:
-            extras = "plot" if importlib.util.find_spec("rtde_control") else "plot,real"  # one request for all
-            raise MissingExtraError(package.replace("_", "-"), extras, "the demonstration's report") from None

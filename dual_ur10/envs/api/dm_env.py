@@ -4,20 +4,24 @@ from __future__ import annotations
 
 from typing import Any, cast
 
-from dm_env import (  # type: ignore[import-untyped]  # has no types
-    Environment,
-    TimeStep,
-    restart,
-    specs,
-    termination,
-    transition,
-    truncation,
-)
 from gymnasium import spaces
 from numpy.typing import NDArray
 
 from dual_ur10.envs.core.options import MOVE_TO_START
-from dual_ur10.errors import ResetNeededError
+from dual_ur10.errors import MissingExtraError, ResetNeededError
+
+try:
+    from dm_env import (  # type: ignore[import-untyped]  # has no types
+        Environment,
+        TimeStep,
+        restart,
+        specs,
+        termination,
+        transition,
+        truncation,
+    )
+except ImportError:
+    raise MissingExtraError("dm-env", "dm", "dm_env's interface") from None
 
 
 class DualArmDmEnv(Environment):  # type: ignore[misc]  # the package dm_env has no types

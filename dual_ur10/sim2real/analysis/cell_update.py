@@ -9,10 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-import tomlkit
-from tomlkit.items import InlineTable
-
-from dual_ur10.errors import CalibrationError, CellFileError, DualUR10Error, RecordingError
+from dual_ur10.errors import CalibrationError, CellFileError, DualUR10Error, MissingExtraError, RecordingError
 from dual_ur10.files import check_target, write_text
 from dual_ur10.ids import received
 from dual_ur10.kinematics.frames import ArmMount
@@ -26,6 +23,12 @@ from dual_ur10.sim2real.config.cell_file_reference import write_new
 from dual_ur10.sim2real.config.cell_file_tables import MAX_LATENCY_S, ZERO, BaseToBase, Calibration, Measured
 from dual_ur10.sim2real.control.servoj import MEASURED_LOOKAHEAD_S
 from dual_ur10.sim2real.recording.run import Header
+
+try:
+    import tomlkit
+    from tomlkit.items import InlineTable
+except ImportError:
+    raise MissingExtraError("tomlkit", "records", "changing a cell file") from None
 
 _MOST_BACKUPS: Final = 1000
 _MOST_SIGMA: Final = 0.1

@@ -12,9 +12,13 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Final, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar
 
-import jinja2
+from dual_ur10.errors import MissingExtraError
+
+if TYPE_CHECKING:
+    import jinja2
+
 
 _MOST_VIDEO_BYTES: Final = 6_000_000  # a page with more in it opens slowly
 
@@ -106,6 +110,10 @@ def render(template: str, package: str = __package__, **values: Any) -> str:
 
 @cache
 def _environment(package: str) -> jinja2.Environment:
+    try:
+        import jinja2
+    except ImportError:
+        raise MissingExtraError("jinja2", "plot", "a report") from None
     loaders = [jinja2.PackageLoader(each) for each in dict.fromkeys((package, __package__))]
     environment = jinja2.Environment(
         loader=jinja2.ChoiceLoader(loaders),

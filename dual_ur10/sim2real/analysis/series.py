@@ -8,6 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dual_ur10.errors import MissingExtraError
 from dual_ur10.policies.evaluation.cross_correlation import cross_correlation, peak_delay
 from dual_ur10.types import Array
 
@@ -76,8 +77,10 @@ def interpolate(times_s: Array, values: Array, when_s: Array) -> Array:
     Returns:
         (j, d); at a sample's time, the sample exactly.
     """
-    from scipy.interpolate import CubicHermiteSpline
-
+    try:
+        from scipy.interpolate import CubicHermiteSpline
+    except ImportError:
+        raise MissingExtraError("scipy", "records", "comparing records") from None
     spline = CubicHermiteSpline(times_s, values, np.gradient(values, times_s, axis=0))
     result: Array = spline(np.clip(when_s, times_s[0], times_s[-1]))
     result[when_s >= times_s[-1]] = values[-1]

@@ -7,15 +7,16 @@ noise follows from the residuals, so that intervals are Student's and Fisher's, 
 
 from __future__ import annotations
 
+import importlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from dual_ur10.errors import CalibrationError
+from dual_ur10.errors import CalibrationError, MissingExtraError
 from dual_ur10.kinematics.frames import BASE_TO_BASE_LINK, ArmMount, yaw_and_tilt
 from dual_ur10.kinematics.rotations import quat_from_matrix
 from dual_ur10.kinematics.ur10 import DHParameters
@@ -47,6 +48,14 @@ _CONTRADICTED: Final = 1e-3
 
 _BOARD_SIZE: Final = 0.01
 """Error of a board's size from which it is refused: 5 mm at a distance of 0.5 m."""
+
+
+def _scipy(module: str) -> Any:
+    try:
+        return importlib.import_module(f"scipy.{module}")  # late, because it takes a second
+    except ImportError:
+        raise MissingExtraError("scipy", "calibration", "an estimate of the bases") from None
+
 
 _LEAST_SCALE: Final = 0.1  # of the stated noise: residuals of zero would state an exact result
 _DONE: Final = 1e-12
@@ -117,7 +126,7 @@ class BaseEstimate:
     @cached_property
     def half_widths(self) -> Array:
         """(6,) half widths of the 95 % interval of each component: three of position (m), three of rotation (rad)."""
-        from scipy import stats
+        stats = _scipy("stats")
 
         widths: Array = stats.t.ppf(0.5 + LEVEL / 2, self.degrees_of_freedom) * np.sqrt(np.diag(self.covariance))
         return widths
@@ -133,7 +142,7 @@ class BaseEstimate:
         return self._bound(slice(3, 6))
 
     def _bound(self, part: slice) -> float:
-        from scipy import stats
+        stats = _scipy("stats")
 
         largest = float(np.linalg.eigvalsh(self.covariance[part, part])[-1])
         return math.sqrt(3 * stats.f.ppf(LEVEL, 3, self.degrees_of_freedom) * largest)
@@ -265,7 +274,7 @@ def _chosen(equations: Equations, kept: Mask) -> Array:
 
 def _solved(equations: Equations, start: Array, kept: Mask, loss: str = "linear") -> _Fit:
     """Solve for the poses; residuals and Jacobian are those of all observations."""
-    from scipy.optimize import least_squares
+    least_squares = _scipy("optimize").least_squares
 
     rows, scale = _chosen(equations, kept), np.tile(1 / SCALES, len(start))
 
@@ -316,8 +325,8 @@ def _check_determined(equations: Equations, fit: _Fit, kept: Mask, observations:
 
 def _check_board_size(equations: Equations, fit: _Fit, kept: Mask) -> None:
     """Refuse views whose distances all are too large or too small by one factor: the board is of another size."""
-    from scipy import stats
-    from scipy.optimize import least_squares
+    stats = _scipy("stats")
+    least_squares = _scipy("optimize").least_squares
 
     rows = _chosen(equations, kept)
     freedom = len(rows) - fit.jacobian.shape[1] - 1
@@ -372,7 +381,7 @@ def _kept(equations: Equations, robust: _Fit) -> Mask:
     The start are those close to the robust solution. Then the worst of them is taken out, or one of the others put
     back, until all of them agree.
     """
-    from scipy import stats
+    stats = _scipy("stats")
 
     sizes = np.array([rows.stop - rows.start for rows in equations.rows])
     squares = np.array([robust.residuals[rows] @ robust.residuals[rows] for rows in equations.rows])
@@ -405,7 +414,7 @@ def _probabilities(equations: Equations, fit: _Fit, kept: Mask) -> Array:
 
     An F test of its residuals against those of the other kept observations, whose estimate predicts them.
     """
-    from scipy import stats
+    stats = _scipy("stats")
 
     rows = _chosen(equations, kept)
     inside, jacobian = fit.residuals[rows], fit.jacobian[rows]

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
-from dual_ur10.errors import CalibrationError, SettingsError
+from dual_ur10.errors import CalibrationError, MissingExtraError, SettingsError
 from dual_ur10.files import read_regular
 from dual_ur10.kinematics.ur10 import DHParameters
 from dual_ur10.sim2real.calibration.transforms import flange, rotation_of, transform
@@ -59,8 +59,10 @@ def read(path: str | Path, robot: str) -> DHParameters:
         CalibrationError: The file cannot be read, or holds no such kinematics.
         SettingsError: The kinematics are those of another robot.
     """
-    import yaml
-
+    try:
+        import yaml
+    except ImportError:
+        raise MissingExtraError("PyYAML", "calibration", "a calibration in YAML") from None
     path = Path(path)
     try:
         content = read_regular(path, _MAX_BYTES)

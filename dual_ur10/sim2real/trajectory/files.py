@@ -17,10 +17,9 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal, get_args
 
 import numpy as np
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from dual_ur10.errors import TrajectoryError, UnknownNameError
+from dual_ur10.errors import MissingExtraError, TrajectoryError, UnknownNameError
 from dual_ur10.files import check_target, read_regular
 from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, ResultCode
@@ -168,12 +167,23 @@ def write_trajectory(path: str | Path, trajectory: JointTrajectory) -> Path:
 # Messages.
 
 
+def _documents(text: str) -> list[object]:
+    try:
+        import yaml
+    except ImportError:
+        raise MissingExtraError("PyYAML", "real", "a trajectory in YAML") from None
+    try:
+        return list(yaml.safe_load_all(text))
+    except yaml.YAMLError as error:
+        raise ValueError(error) from None
+
+
 def _loaded(text: str, kind: Format) -> object:
     try:
         if kind == "json":
             return json.loads(text)
-        found = [each for each in yaml.safe_load_all(text) if each is not None]
-    except (ValueError, yaml.YAMLError, RecursionError) as error:
+        found = [each for each in _documents(text) if each is not None]
+    except (ValueError, RecursionError) as error:
         reason = " ".join(str(error).split())
         if "set_int_max_str_digits" in reason:  # Python's own remedy is none here
             reason = "a value has too many digits to be a number here"

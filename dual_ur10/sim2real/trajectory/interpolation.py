@@ -9,11 +9,16 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import PPoly
 
-from dual_ur10.errors import TrajectoryError
+from dual_ur10.errors import MissingExtraError, TrajectoryError
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
 from dual_ur10.types import Array
+
+try:
+    from scipy.interpolate import PPoly as PPoly
+    from scipy.interpolate import make_interp_spline as make_interp_spline
+except ImportError:
+    raise MissingExtraError("scipy", "real", "following a trajectory") from None
 
 ORDER = 5
 """Degree of the polynomials."""

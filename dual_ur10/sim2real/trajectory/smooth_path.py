@@ -10,9 +10,8 @@ import math
 from typing import Final
 
 import numpy as np
-from scipy.interpolate import PPoly
 
-from dual_ur10.sim2real.trajectory.interpolation import ORDER, Interpolation, Motion, quintic
+from dual_ur10.sim2real.trajectory.interpolation import ORDER, Interpolation, Motion, PPoly, quintic
 from dual_ur10.types import Array
 
 ROUNDING_S: Final = 0.04

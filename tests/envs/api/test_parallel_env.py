@@ -442,16 +442,3 @@ def test_the_functions_keep_their_names_whatever_is_imported_first():
             "import pickle; assert pickle.loads(pickle.dumps(DualArmParallelEnv)) is DualArmParallelEnv\n"
         )
         subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
-
-
-def test_without_stable_baselines_the_extra_is_named():
-    code = (
-        "import sys; sys.modules['stable_baselines3'] = None\n"
-        "from dual_ur10.errors import MissingExtraError\n"
-        "try:\n"
-        "    import dual_ur10.envs.api.sb3_bridge\n"
-        "except MissingExtraError as error:\n"
-        "    sys.exit(0 if 'pip install \"dual-ur10[train]\"' in str(error) else str(error))\n"
-        "sys.exit('imported')\n"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)

@@ -1,13 +1,11 @@
 """Boards in images: rendered by OpenCV with known poses, and boards that are others than described."""
 
-import builtins
 import json
-import sys
 
 import numpy as np
 import pytest
 
-from dual_ur10.errors import CalibrationError, MissingExtraError
+from dual_ur10.errors import CalibrationError
 from dual_ur10.sim2real.calibration.board import Board, Camera, calibrated_camera, located
 from dual_ur10.sim2real.calibration.data_file import DataFile
 from dual_ur10.sim2real.calibration.transforms import rotation_of, rotvec_of, transform
@@ -100,17 +98,3 @@ def test_views_name_images_beside_the_data_file(images):
     views = DataFile.model_validate_json(json.dumps(content)).measured(folder)
     for view, pose in zip(views, images.values(), strict=True):
         assert np.linalg.norm(view.position_m - pose[:3, 3]) < 0.01  # the camera was calibrated from six images
-
-
-def test_without_opencv_the_extra_is_named(images, monkeypatch):
-    imported = builtins.__import__
-
-    def refuse(name, *arguments, **keywords):
-        if name == "cv2":
-            raise ImportError(name)
-        return imported(name, *arguments, **keywords)
-
-    monkeypatch.delitem(sys.modules, "cv2")
-    monkeypatch.setattr(builtins, "__import__", refuse)
-    with pytest.raises(MissingExtraError, match=r"dual-ur10\[calibration\]"):
-        located(next(iter(images)), BOARD, CAMERA)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import dual_ur10  # noqa: F401 - registers the ids
-from dual_ur10.errors import MissingExtraError, RecordingError, SettingsError
+from dual_ur10.errors import RecordingError, SettingsError
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.policies.evaluation.minari_export import to_minari
@@ -258,12 +258,6 @@ def test_episodes_become_a_minari_dataset_with_a_key_per_agent(tmp_path, monkeyp
     env.close()
     with pytest.raises(RecordingError, match="ur10/sine/random-v0"):
         to_minari(runs, "ur10/sine/random-v0")
-
-
-def test_without_minari_the_message_says_what_to_install(monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "minari", None)
-    with pytest.raises(MissingExtraError, match=r'pip install "dual-ur10\[data\]"'):
-        to_minari([], "x-v0")
 
 
 @pytest.mark.parametrize("latency", [0, 3])

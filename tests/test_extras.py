@@ -1,0 +1,102 @@
+"""A package that is missing is a named error, which says what needs it and which extra brings it."""
+
+import importlib
+import re
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dual_ur10.assets import visuals
+from dual_ur10.errors import MissingExtraError
+
+
+def imported(name):
+    """Return an import of a module."""
+
+    def use(_, monkeypatch):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+        importlib.import_module(name)
+
+    return use
+
+
+def called(path, *arguments):
+    """Return a call of a function, "module:name"."""
+    module, _, name = path.partition(":")
+    return lambda *_: getattr(importlib.import_module(module), name)(*arguments)
+
+
+def read(path, *arguments):
+    """Return a call of a function that reads a file in YAML."""
+
+    def use(folder, _):
+        (folder / "file.yaml").write_text("a: 1")
+        called(path, folder / "file.yaml", *arguments)()
+
+    return use
+
+
+def template(_, monkeypatch):
+    page = importlib.import_module("dual_ur10.sim2real.analysis.page")
+    page._environment.cache_clear()
+    page.render("page.html")
+
+
+# Extra, package that is missing, and what needs it.
+USES = (
+    ("calibration", "cv2", called("dual_ur10.sim2real.calibration.board:opencv")),
+    ("calibration", "scipy.stats", called("dual_ur10.sim2real.calibration.estimate:_scipy", "stats")),
+    ("calibration", "yaml", read("dual_ur10.sim2real.calibration.ur_calibration:read", "ur10")),
+    ("data", "minari", called("dual_ur10.policies.evaluation.minari_export:to_minari", [], "x-v0")),
+    ("dm", "dm_env", imported("dual_ur10.envs.api.dm_env")),
+    ("dynamics", "pinocchio", called("dual_ur10.kinematics.dynamics:_model", "ur10", 0.123, (0.0, 0.0, 0.0), True)),
+    ("emulator", "lark", imported("ur_emulator.script")),
+    ("live", "viser", called("dual_ur10.envs.rendering.live.guard:make_server", None, "", "", None)),
+    ("plot", "jinja2", template),
+    ("plot", "matplotlib.figure", called("dual_ur10.policies.training.progress:draw_curve", Path(), "", ())),
+    ("real", "rtde_control", called("dual_ur10.sim2real.runtime.arm_process:_ur_rtde", "127.0.0.2")),
+    ("real", "scipy.interpolate", imported("dual_ur10.sim2real.trajectory.interpolation")),
+    ("real", "yaml", read("dual_ur10.sim2real.trajectory.files:read_trajectory")),
+    ("records", "mcap.data_stream", imported("dual_ur10.sim2real.recording.scan")),
+    ("records", "scipy.interpolate", called("dual_ur10.sim2real.analysis.series:interpolate", *(np.zeros(2),) * 3)),
+    ("records", "tomlkit", imported("dual_ur10.sim2real.analysis.cell_update")),
+    ("serial", "serial", called("dual_ur10.sim2real.peripherals.serial_line:SerialTransport", "/dev/none", 9600)),
+    ("teleop", "sdl2", called("dual_ur10.policies.operators.sdl:load", "a gamepad")),
+    ("train", "stable_baselines3", imported("dual_ur10.policies.training.models")),
+    ("train", "stable_baselines3.common.vec_env", imported("dual_ur10.envs.api.sb3_bridge")),
+    ("virtual", "greenlet", imported("ur_emulator.virtual.scheduler")),
+)
+
+
+@pytest.mark.parametrize(("extra", "package", "use"), USES, ids=[f"{extra}-{package}" for extra, package, _ in USES])
+def test_a_missing_package_is_named_with_its_extra(extra, package, use, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(MissingExtraError, match=re.escape(f'pip install "dual-ur10[{extra}]"')):
+        use(tmp_path, monkeypatch)
+
+
+def test_meshes_that_are_missing_are_named_with_their_extra(monkeypatch):
+    def none(name):
+        raise importlib.metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(visuals.importlib.metadata, "distribution", none)
+    with pytest.raises(MissingExtraError, match=r"dual-ur10\[meshes\]"):
+        visuals._mesh_folder()
+
+
+def test_every_extra_has_such_a_test():
+    text = (Path(__file__).parents[1] / "pyproject.toml").read_text()
+    extras = tomllib.loads(text)["project"]["optional-dependencies"].keys()
+    of_the_project = {"dev", "docs", "fuzz", "test"}
+    assert {extra for extra, *_ in USES} | {"all", "meshes", "rllib"} == extras - of_the_project
+
+
+def test_an_emulated_controller_needs_its_extra_before_a_process_starts(monkeypatch):
+    module = importlib.import_module("ur_emulator.emulated_cell")
+    monkeypatch.setattr(module.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(module.subprocess, "Popen", None)
+    with pytest.raises(MissingExtraError, match=r"dual-ur10\[emulator\]"):
+        module.EmulatorProcess(None, {})

@@ -2,8 +2,8 @@
 
     interpolate (C²)  ->  compensate the lag  ->  limit
 
-The first two are linear in the values that an arm's motion is made of, and so are the limits. This module computes the
-matrices; the kernel applies them to each cell, and limits what breaks a limit.
+The first two are linear in the values that an arm's motion is made of, and so are the limits. `adapter_matrices` gives
+the matrices; the kernel applies them to each cell, and limits what breaks a limit.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from collections.abc import Mapping, Sequence
 from typing import Final, Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dual_ur10.assets.settings import DEFAULT_TOOLS
 from dual_ur10.errors import SettingsError, UnknownNameError
@@ -21,11 +20,11 @@ from dual_ur10.kernel import RowLoop, Struct
 from dual_ur10.kinematics.forward import links
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply, quat_to_matrix
 from dual_ur10.kinematics.ur10 import DHParameters
-from dual_ur10.sim2real.control import path, stopping
+from dual_ur10.sim2real.control import path
+from dual_ur10.sim2real.control.adapter_matrices import matrices_of
 from dual_ur10.sim2real.control.cartesian_step import goal_of_step
-from dual_ur10.sim2real.control.limits import HISTORY, Envelope, MotionLimits
-from dual_ur10.sim2real.control.servoj import ServojLaw, ServojProfile
-from dual_ur10.sim2real.control.time_scaling import interpolate
+from dual_ur10.sim2real.control.limits import HISTORY, MotionLimits
+from dual_ur10.sim2real.control.servoj import ServojProfile
 from dual_ur10.types import Array, Rows
 
 ActionMode = Literal["joint_delta", "joint_position", "tcp_delta"]
@@ -51,17 +50,7 @@ TCP_STEP_M_S = 0.25
 TCP_ROTATION_RAD_S = 0.5
 """Angular speed at action 1 of `tcp_delta`: the first speed that is safe to try on a real arm."""
 
-_MANY_TICKS = 5  # targets per period from which on they sample the path densely enough
-
-_STIFF = 2.5  # gain times a tick squared above which targets show the arm's acceleration better than the law does
-_PARTS = 8  # sub-steps of a tick for the law under time scaling, and of a period between few targets
-
 _ROUNDING = 1e-6  # bounds are float32 where a policy sees them
-
-_PURSUIT_S = 0.2  # until arms that are far from their commands have the speed to approach them
-
-# Between two instants of later periods at which limits are checked: at targets, between them, and of brakes.
-_CHECK_S, _CHECK_BETWEEN_S, _CHECK_BRAKES_S = 0.008, 0.001, 0.04
 
 _GOAL_MARGIN_RAD = 1e-3  # goals stay this far inside the range that the limiter enforces
 
@@ -69,7 +58,6 @@ _GOAL_MARGIN_RAD = 1e-3  # goals stay this far inside the range that the limiter
 # current position, speed and acceleration.
 _GOAL = HISTORY + path.POINTS - 1
 _NOW, _SPEED, _STATE = _GOAL + 1, _GOAL + 2, _GOAL + 5
-_VALUES = HISTORY + path.VALUES  # that a plan is made of: the last three targets, and the values that define a path
 
 
 class Command(NamedTuple):
@@ -179,12 +167,10 @@ class ServojAdapter:
         self._tcp_m = tuple(tcp_m)
         self.action_scale = scale_of_steps(mode, action_scale)
         self.stroke_m: Array = np.array(stroke_m, dtype=np.float64)
-        self.period_s, self.speed_factor = ticks * profile.tick_s, speed_factor
-        # The law in task time.
+        self.speed_factor = speed_factor
         lookahead_s = profile.lookahead_s if lookahead_s is None else lookahead_s
-        self._law = ServojLaw(lookahead_s * speed_factor, profile.gain / speed_factor**2)
-        self._lead_s = profile.tick_s * speed_factor / 2 if compensate_lag else 0.0
-        self.envelope = Envelope(self.limits, profile.tick_s, ticks)
+        self._matrices = matrices_of(profile, self.limits, ticks, compensate_lag, lookahead_s, speed_factor)
+        self.envelope, self.period_s = self._matrices.envelope, self._matrices.period_s
         # Towards a joint's limit a goal may cover a fraction of the remaining distance: an approach that the brake can
         # always follow, so that one joint at its limit does not hold the other eleven.
         self._approach = min(0.3, self.envelope.brake_rate * self.period_s / 10)
@@ -210,12 +196,6 @@ class ServojAdapter:
 
     def _struct(self) -> Struct:
         """Return the coefficients and the state as the kernel's structure."""
-        meetings = path.meetings(self.period_s)
-        horizons = range(1, meetings[-1].periods + 1)
-        plans = [self._plan(periods) for periods in horizons]
-        between = [self._between(periods, 0, 1) for periods in horizons]
-        later = [self._later(periods) for periods in horizons]
-        speed = np.tile(self.limits.speed_rad_s, 2)
         low, high = self.action_bounds
         return Struct(
             "Adapter",
@@ -224,29 +204,8 @@ class ServojAdapter:
             width=HISTORY + self.ticks + 2,
             mode=get_args(ActionMode).index(self.mode),
             size=self._action.shape[2],
-            latest=len(horizons),
-            between_rows=len(between[0]),
-            later_rows=sum(len(rows) for rows, _ in later),
             approach=self._approach,
-            envelope=self.envelope.kernel,
-            stopping=self._stopping(),
-            plans=np.stack([targets for targets, _ in plans]),
-            ends=np.stack([end for _, end in plans]),
-            lines=np.stack([path.continuation(self.period_s, periods, 2) for periods in horizons]),
-            cubics=np.stack([path.continuation(self.period_s, periods, path.POINTS) for periods in horizons]),
-            between=np.stack(between),
-            later=np.concatenate([rows for rows, _ in later]),
-            later_kinds=np.concatenate([kinds for _, kinds in later]),
-            later_ends=np.cumsum([len(rows) for rows, _ in later]),
-            limits=np.stack(
-                [speed, np.full(12, self.limits.acceleration_rad_s2), np.full(12, self.limits.jerk_rad_s3)]
-            ),
-            meetings=len(meetings),
-            periods=np.array([each.periods for each in meetings]),
-            curved=np.array([int(each.curved) for each in meetings]),
-            pursuit=self._targets_of(max(1, round(_PURSUIT_S / self.period_s)), self.ticks, free=True),
-            pursuit_rate=self.limits.acceleration_rad_s2 / (2 * max(self.limits.speed_rad_s)),
-            resume=self._resume_matrix(),
+            **self._matrices.values,
             joint_step=self.joint_step_rad,
             lower=self._approach * (np.tile(self.limits.lower_rad, 2) + _GOAL_MARGIN_RAD),
             upper=self._approach * (np.tile(self.limits.upper_rad, 2) - _GOAL_MARGIN_RAD),
@@ -268,139 +227,6 @@ class ServojAdapter:
             tool_m=np.array(self._tcp_m, dtype=np.float64),
             turn_m=TCP_STEP_M_S / TCP_ROTATION_RAD_S,
         )
-
-    def _plan(self, periods: int) -> tuple[Array, Array]:
-        """Return a period as matrices on a plan's values: targets, (ticks, ...), and the path's end, (4, ...)."""
-        end = np.zeros((4, _VALUES))
-        end[:, HISTORY:] = path.path(self.period_s, np.zeros(1), periods).end
-        return self._targets_of(periods, self.ticks), end
-
-    def _targets_of(self, periods: int, count: int, free: bool = False) -> Array:
-        """Return the first targets, (count, ...), of a path to a meeting and beyond, as a matrix on a plan's values."""
-        # Held for a tick, a target acts half a tick late on average: it is taken half a tick ahead.
-        times_s = np.arange(count, dtype=np.float64) * self.profile.tick_s + self._lead_s
-        rows = path.path(self.period_s, times_s, periods, free)
-        targets = np.zeros((count, _VALUES))
-        targets[:, HISTORY:] = rows.position
-        if self.compensate_lag:
-            targets[:, HISTORY:] += self._law.lookahead_s * rows.speed + rows.acceleration / self._law.gain
-        return targets
-
-    def _stopping(self) -> Struct:
-        """Return the law of the soonest stop as the kernel's structure."""
-        arm = np.zeros((2, stopping.CARRIED + 1))
-        if self.compensate_lag:
-            arm[:, HISTORY:] = self._law.response(self.profile.tick_s, 1, 1)[0]
-        else:  # the path is the targets'
-            arm[0, -1] = 1.0
-            arm[1, [HISTORY - 1, -1]] = np.array([-1.0, 1.0]) / self.profile.tick_s
-        limits = self.limits.acceleration_rad_s2, self.limits.jerk_rad_s3
-        rows = stopping.gains(arm, self.profile.tick_s, *limits)
-        return Struct(
-            "Stopping",
-            latest=len(rows),
-            ticks=self.ticks,
-            tick_s=self.profile.tick_s,
-            period_s=self.period_s,
-            lead_s=self._lead_s,
-            lookahead_s=self._law.lookahead_s if self.compensate_lag else 0.0,
-            acceleration_rad_s2=limits[0],
-            jerk_rad_s3=limits[1],
-            gains=rows,
-            arm=arm,
-        )
-
-    def _later(self, periods: int) -> tuple[Array, NDArray[np.int64]]:
-        """Return what is limited after this period, as a matrix on a plan's values, and the kind of each row.
-
-        That is speed (0), acceleration (1) and jerk (2), at instants until the meeting, at the ticks that pass it, and
-        along the brakes from some of the periods.
-        """
-        ticks, tick_s = self.ticks, self.profile.tick_s
-        count = ticks * periods + HISTORY
-        targets = np.vstack([np.eye(HISTORY, _VALUES), self._targets_of(periods, count)])
-        every = max(1, round(_CHECK_S / tick_s))
-        instants = np.unique([*range(ticks, count - HISTORY, every), *range(count - HISTORY, count)])
-        rows, kinds = [], []
-        derivative = targets
-        for kind in range(3):
-            derivative = np.diff(derivative, axis=0) / tick_s
-            rows.append(derivative[instants + HISTORY - 1 - kind])
-            kinds.append(np.full(len(instants), kind))
-        between = self._between(periods, 1, periods)[:: max(1, round(_CHECK_BETWEEN_S / self.period_s * _PARTS))]
-        rows.append(between)
-        kinds.append(np.full(len(between), 1))
-        brakes, of_brakes = self.envelope.of_brakes()
-        for last in range(2, periods + 1, max(1, round(_CHECK_BRAKES_S / self.period_s))):
-            rows.append(brakes @ targets[ticks * last : ticks * last + HISTORY])
-            kinds.append(of_brakes)
-        return np.concatenate(rows), np.concatenate(kinds)
-
-    def _between(self, periods: int, first: int, last: int) -> Array:
-        """Return the acceleration between the targets of some periods, as a matrix on a plan's values.
-
-        With few targets per period, legal targets can lie on an illegal path. With many there are no rows.
-        """
-        if self.ticks >= _MANY_TICKS:
-            return np.zeros((0, _VALUES))
-        lookahead_s = self._law.lookahead_s if self.compensate_lag else 0.0
-        step_s = self.period_s / _PARTS
-        times = self.period_s * first + step_s * np.arange(_PARTS * (last - first) + 1.0)
-        rows = path.path(self.period_s, times, periods)
-        result = np.zeros((len(times) - 1, _VALUES))
-        result[:, HISTORY:] = rows.acceleration[:-1] + lookahead_s * np.diff(rows.acceleration, axis=0) / step_s
-        return result
-
-    def _resume_matrix(self) -> Array:
-        """Return the path's state after a limited period, (4, ...), on the targets and the arm's state before.
-
-        With compensation that is where the law takes the arm, without it the next target. Acceleration and jerk
-        continue those of the last targets.
-        """
-        law, ticks, tick_s = self._law, self.ticks, self.profile.tick_s
-        width = HISTORY + ticks
-        reached = np.zeros((4, width + 2))
-        if self.compensate_lag:
-            seen = self._seen_by_the_law()
-            response = law.response(tick_s * ticks / len(seen), len(seen), 1)[-1]
-            reached[:2, :width], reached[:2, width:] = response[:, 2:] @ seen, response[:, :2]
-            # The last target was sampled `after` ticks before the end of its tick: extrapolate it by a parabola.
-            after = 1.0 - self._lead_s / tick_s
-            last = slice(width - 3, width)
-            if law.gain * tick_s**2 > _STIFF:
-                # The law reaches a target within a tick, which hides its acceleration.
-                reached[2, last] = np.array([1.0, -2.0, 1.0]) / tick_s**2
-                return reached
-            reached[2, last] = _parabola(after) * law.gain
-            reached[2] -= law.gain * (reached[0] + law.lookahead_s * reached[1])
-            reached[3, last] = np.array([after + 0.5, -2.0 * after - 2.0, after + 1.5]) * (law.gain / tick_s)
-            reached[3] -= law.gain * (reached[1] + law.lookahead_s * reached[2])
-        else:
-            # The last target was sampled a whole tick before the end of the period: extrapolate it by a parabola.
-            last = slice(width - 3, width)
-            reached[0, last] = 1.0, -3.0, 3.0
-            reached[1, last] = np.array([1.5, -4.0, 2.5]) / tick_s
-            reached[2, last] = np.array([1.0, -2.0, 1.0]) / tick_s**2
-        return reached
-
-    def _seen_by_the_law(self) -> Array:
-        """Return the law's inputs in equal parts of a period, (parts, width), as a matrix on the window of targets.
-
-        At full speed each target is held for a tick. Under time scaling the inputs lie on a curve through the targets,
-        held for a control period each, which delays them by half of one.
-        """
-        ticks, width = self.ticks, HISTORY + self.ticks
-        rows = np.eye(width + 2, width)
-        rows[width:, -3:] = _parabola(1.0), _parabola(2.0)  # the next targets are unknown yet
-        late = self._lead_s / self.profile.tick_s
-        parts = 1 if self.speed_factor == 1.0 else _PARTS
-        times = HISTORY + (np.arange(ticks * parts) + 0.5) / parts - late
-        seen = np.empty((ticks * parts, width))
-        for row, time in zip(seen, times, strict=True):
-            below = int(time)
-            before, start, stop, following = rows[below - 1 : below + 3]
-            row[:] = interpolate(before, start, stop, following, time - below)
-        return seen
 
     @property
     def joint_step_rad(self) -> Array:
@@ -474,8 +300,3 @@ class ServojAdapter:
             rotation = vectors[:, 1] * (TCP_ROTATION_RAD_S * self.period_s)
             goal[:, arm] = goal_of_step(now[:, arm], step, rotation, self._steps_to_rest, dh, self._tcp_m[arm])
         return goal
-
-
-def _parabola(after: float) -> Array:
-    """Return the weights, (3,), that extrapolate a parabola through three values by `after` steps."""
-    return np.array([after * (after + 1.0) / 2, -after * (after + 2.0), (after + 1.0) * (after + 2.0) / 2])

@@ -702,7 +702,7 @@ def test_the_environment_compensates_the_measured_lag() -> None:
     edits = {"left__measured": {"lookahead_s": 0.05}, "speed_factor": 1.0, "commissioned": True}
     cell = cell_of(GOOD, **edits).simulated()
     env = DualArmEnv("SineTracking", cell=cell)
-    law = env.core.pipeline.adapter._law
+    law = env.core.pipeline.adapter._matrices.law
     assert (law.lookahead_s, law.gain) == (0.04, cell.servoj.gain)
     env.close()
 

@@ -310,8 +310,8 @@ def test_a_scaled_arm_follows_the_same_path_without_lag(profile: ServojProfile, 
 def test_full_speed_changes_no_bit(mode: str, profile: ServojProfile, limits: MotionLimits) -> None:
     actions = actions_of_all_kinds(5, 40)
     plain, full = (at_home(5, profile, limits=limits, mode=mode, **more) for more in ({}, {"speed_factor": 1.0}))
-    assert (full._law.lookahead_s, full._law.gain) == (profile.lookahead_s, profile.gain)
-    assert full._lead_s == profile.tick_s / 2
+    assert (full._matrices.law.lookahead_s, full._matrices.law.gain) == (profile.lookahead_s, profile.gain)
+    assert full._matrices.lead_s == profile.tick_s / 2
     np.testing.assert_array_equal(played(full, actions), played(plain, actions))
     slow = at_home(5, profile, limits=limits, mode=mode, speed_factor=0.5)
     assert (played(slow, actions) != played(at_home(5, profile, limits=limits, mode=mode), actions)).any()

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+from dual_ur10.assets.dm_mjcf import is_dm_mjcf, text_of
 from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.types import Vector3
@@ -102,7 +103,8 @@ class Prop:
     Attributes:
         name: Its key in `CellState.objects`, `Start.objects` and cell files: letters, digits and _.
         mjcf: MJCF text with the sections compiler, asset, default, worldbody, contact and equality; or an `MjSpec`, of
-            which MuJoCo writes six digits. Geoms of group 2 that collide with nothing are drawn only, and have no mass.
+            which MuJoCo writes six digits; or a model of `dm_control.mjcf`, or an entity of `dm_control.composer`.
+            Geoms of group 2 that collide with nothing are drawn only, and have no mass.
         held: What a gripper carries, for the distances of the safety gate: a capsule for the left and for the right
             arm, or None. Nothing reports to the gate whether a gripper holds something, so an empty gripper keeps
             these distances, too.
@@ -261,13 +263,15 @@ def _reason(error: Exception) -> str:
 
 
 def _text_of(spec: Any, name: str) -> str:
+    if is_dm_mjcf(spec):
+        return text_of(spec, name)
     try:
         spec.compile()
         text = spec.to_xml()
     except (AttributeError, ValueError) as error:
         raise SettingsError(
             f"mjcf of the prop {name!r} is {type(spec).__name__}: it must be MJCF text or a MjSpec that compiles "
-            f"({_reason(error)})"
+            f"({_reason(error)}), or a model or entity of dm_control"
         ) from error
     return str(text)
 

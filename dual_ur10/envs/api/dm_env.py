@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any, cast
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, cast
 
+import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
@@ -24,6 +26,10 @@ except ImportError:
     raise MissingExtraError("dm-env", "dm", "dm_env's interface") from None
 
 
+if TYPE_CHECKING:
+    from dual_ur10.envs.api.dm_physics import DmPhysics
+
+
 class DualArmDmEnv(Environment):  # type: ignore[misc]  # the package dm_env has no types
     """Two UR10s and a task behind dm_env's interface.
 
@@ -32,9 +38,12 @@ class DualArmDmEnv(Environment):  # type: ignore[misc]  # the package dm_env has
     error, because a reset moves the arms and needs the consent of its caller. Steps equal those of
     `dual_ur10.envs.api.dual_arm_env.DualArmEnv` bit for bit.
 
+    `dm_control.viewer` and the wrappers of `dm_control.suite` take it, for which it has `physics` and `task`.
+
     Attributes:
         env: The Gymnasium environment.
         info: `info` of its last step or reset.
+        task: Has the generator `random`, by which dm_control's wrappers sample; episodes do not depend on it.
 
     Args:
         task: Id of the environment, or a shorter name.
@@ -51,6 +60,8 @@ class DualArmDmEnv(Environment):  # type: ignore[misc]  # the package dm_env has
 
         self.env = DualArmEnv(task, **keywords)
         self.info: dict[str, Any] = {}
+        self.task = SimpleNamespace(random=np.random.RandomState(seed))
+        self._physics: DmPhysics | None = None
         self._seed, self._over = seed, True
 
     def __repr__(self) -> str:
@@ -68,6 +79,7 @@ class DualArmDmEnv(Environment):  # type: ignore[misc]  # the package dm_env has
         self._over = True  # after a failure from here on, the episode must begin again
         observation, self.info = self.env.reset(seed=self._seed, options={MOVE_TO_START: move_to_start})
         self._seed, self._over = None, False
+        self._show()
         return restart(observation)
 
     def step(self, action: NDArray[Any]) -> TimeStep:
@@ -85,6 +97,7 @@ class DualArmDmEnv(Environment):  # type: ignore[misc]  # the package dm_env has
             return self.reset()
         observation, reward, terminated, truncated, self.info = self.env.step(action)
         self._over = terminated or truncated
+        self._show()
         if terminated:
             return termination(reward, observation)
         return truncation(reward, observation) if truncated else transition(reward, observation)
@@ -97,8 +110,23 @@ class DualArmDmEnv(Environment):  # type: ignore[misc]  # the package dm_env has
         """Return a `BoundedArray`: the numbers of the left arm, then those of the right one."""
         return _spec(self.env.action_space, "action")
 
+    @property
+    def physics(self) -> DmPhysics:
+        """The scene as it is drawn, for dm_control's viewer and wrappers. Only the simulation changes it."""
+        if self._physics is None:
+            from dual_ur10.envs.api.dm_physics import DmPhysics  # loads what draws
+
+            self._physics = DmPhysics(lambda: self.env.core.cell_data(0))
+        return self._physics
+
+    def _show(self) -> None:
+        if self._physics is not None:
+            self._physics.update()
+
     def close(self) -> None:
         """Release the simulation. May be called twice."""
+        if self._physics is not None:
+            self._physics.close()
         self.env.close()
 
 

@@ -212,12 +212,20 @@ class ArmServer:
 
         add("dashboard", lambda: DashboardPeer(Dashboard(self.shown, self.pendant)), lambda: f"{GREETING}\n".encode())
         for which in ("primary", "secondary"):
-            add(which, lambda: ScriptPeer(self._take_script), lambda: version_message(self.shown))
-        add("realtime", lambda: ScriptPeer(self._take_script))
-        add("rtde", lambda: RtdePeer(self._rtde.open()))
+            add(which, self._script_peer, lambda: version_message(self.shown))
+        add("realtime", self._script_peer)
+        add("rtde", self._rtde_peer)
         if gripper is not None and gripper.port is not None:
             # The gripper's answers bring their own ends.
             add("gripper", lambda: LinePeer(gripper.answer, end=""))
+
+    def _script_peer(self) -> ScriptPeer:
+        self._reader.prepare()
+        return ScriptPeer(self._take_script)
+
+    def _rtde_peer(self) -> RtdePeer:
+        self._reader.prepare()  # clients connect here before they send a program
+        return RtdePeer(self._rtde.open())
 
     def _take_script(self, text: str) -> None:
         command = _COMMANDS.get(" ".join(text.split()))

@@ -17,7 +17,7 @@ SHORT: Final = 1024
 class ProgramReader:
     """Reader of programs, one after the other: short ones in a thread, long ones in a process of its own.
 
-    The process starts with the first long program.
+    The process starts with `prepare`, or with the first long program.
 
     Args:
         system: Threads and processes.
@@ -29,6 +29,13 @@ class ProgramReader:
         self._builtins, self._interfaces = builtins, interfaces(builtins)
         self._thread = system.worker(f"{name} programs")
         self._process = system.remote(compiled, f"{name} programs")
+        self._prepared = False
+
+    def prepare(self) -> None:
+        """Start the process: clients wait for about a second until a program that they send plays."""
+        if not self._prepared:
+            self._prepared = True
+            self._thread.submit(self._process.prepare)
 
     def submit(self, text: str) -> Future[Program | ScriptError]:
         """Read a program, and return what will be the program or its error."""

@@ -56,8 +56,11 @@ def test_a_process_that_ends_refuses_one_program(reader):
 
 def test_the_process_ends_with_the_reader(builtins):
     reader = ProgramReader(LOCAL, "left", builtins)
-    reader.submit("a = 3" + FILLER).result(30.0)
+    reader.prepare()
+    reader.submit("pass").result(30.0)  # after it
     process = reader._process._process
+    reader.submit("a = 3" + FILLER).result(30.0)
+    assert process is reader._process._process
     assert process.is_alive
     reader.close()
     assert not process.is_alive

@@ -120,6 +120,9 @@ class _InlineFunction(RemoteFunction[T]):
     def __call__(self, *arguments: Any) -> T:
         return self.function(*arguments)
 
+    def prepare(self) -> None:
+        """Do nothing: there is no process."""
+
 
 class VirtualSystem(System):
     """Operating system of a virtual process. It leaves nothing to that of this machine.

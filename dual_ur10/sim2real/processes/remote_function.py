@@ -20,7 +20,8 @@ _ORDINARY_SLICE_S: Final = 0.0
 class RemoteFunction(Generic[T]):
     """Function of this package that computes in a child process with ordinary priority.
 
-    The process starts with the first call, and again with the next one after it has ended. It ends with this process.
+    The process starts with `prepare` or the first call, and again with the next one after it has ended. It ends with
+    this process.
     Calls wait for their result, one after the other, without Python's global lock.
 
     Args:
@@ -49,6 +50,12 @@ class RemoteFunction(Generic[T]):
                 self._end()
                 raise LinkError(f"{self._name}: the process ended before it answered") from error
         return result
+
+    def prepare(self) -> None:
+        """Start the process, so that the first call need not wait for that."""
+        with self._lock:
+            if self._connection is None:
+                self._start()
 
     def _start(self) -> Connection:
         self._connection, theirs = Pipe()

@@ -78,6 +78,10 @@ class Watcher:
 @pytest.fixture(scope="module")
 def cell():
     with EmulatedCell(plant="nominal") as made:
+        with client(made, 30003) as scripts:
+            scripts.sendall(program("sync()").encode())
+            # By then the process that compiles programs has started, with a file of its own.
+            assert settled(lambda: made.ask("received", arm="left")["ended_tick"], 20.0)
         yield made
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import os
 import threading
 from collections.abc import Callable
 from multiprocessing.connection import Connection, Pipe
@@ -18,7 +17,7 @@ _ORDINARY_SLICE_S: Final = 0.0
 
 
 class RemoteFunction(Generic[T]):
-    """Function of this package that computes in a child process with ordinary priority.
+    """Function of this package that computes in a child process, with the niceness of this one and longer time slices.
 
     The process starts with `prepare` or the first call, and again with the next one after it has ended. It ends with
     this process.
@@ -83,8 +82,7 @@ class RemoteFunction(Generic[T]):
 
 def _serve(number: int, module: str, name: str) -> None:
     """Answer calls until the other end is closed."""
-    os.nice(max(0, -os.nice(0)))  # not the priority of a process with deadlines that started it
-    shorten_slice(_ORDINARY_SLICE_S, inherited=True)
+    shorten_slice(_ORDINARY_SLICE_S, inherited=True)  # those with deadlines interrupt it
     function = getattr(importlib.import_module(module), name)
     with Connection(number) as connection:
         while True:

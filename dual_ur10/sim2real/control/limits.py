@@ -225,7 +225,7 @@ class Envelope:
             "joint jerk": [jerk[HISTORY - 3 :]],
             "joint position": [identity[HISTORY:]],
         }
-        ahead, r = _brake_derivatives(limits, tick_s), self.ratio
+        ahead, r = self._brake_derivatives(), self.ratio
         self._stops = sorted({ticks} if stops is None else {*stops, ticks})
         for stop in self._stops:
             last = HISTORY - 1 + stop
@@ -295,11 +295,16 @@ class Envelope:
         """Return rows (k, 3) that continue three past targets with the brake until it is at rest."""
         return self._brake(math.ceil(_BRAKE_TIMES / (self.brake_rate * self.tick_s)))
 
+    def _brake_derivatives(self) -> dict[str, Array]:
+        limits = self.limits
+        speeds = frozenset(limits.speed_rad_s)
+        return _brake_derivatives(speeds, limits.acceleration_rad_s2, limits.jerk_rad_s3, self.brake_rate, self.tick_s)
+
     def of_brakes(self) -> tuple[Array, NDArray[np.int64]]:
         """Return peaks along the brake as rows (m, 3) on targets, each of speed (0), acceleration (1) or jerk (2)."""
         identity = np.eye(HISTORY)
         speeds = np.diff(identity, axis=0)[::-1] / self.tick_s
-        rows = list(_brake_derivatives(self.limits, self.tick_s).values())
+        rows = list(self._brake_derivatives().values())
         return np.concatenate(rows) @ speeds, np.repeat(np.arange(len(rows)), [len(each) for each in rows])
 
     def _coast(self, ticks: int) -> Array:
@@ -337,9 +342,14 @@ def _brake_ticks(tick: float) -> NDArray[np.intp]:
 
 
 @lru_cache(maxsize=64)
-def _brake_derivatives(limits: MotionLimits, tick_s: float) -> dict[str, Array]:
-    """Return rows (m, 2) on (last speed, the one before) of the brake's ticks that bound all others."""
-    r = math.exp(-limits.brake_rate() * tick_s)
+def _brake_derivatives(
+    speeds_rad_s: frozenset[float], acceleration_rad_s2: float, jerk_rad_s3: float, brake_rate: float, tick_s: float
+) -> dict[str, Array]:
+    """Return rows (m, 2) on (last speed, the one before) of the brake's ticks that bound all others.
+
+    A gate and its adapter, whose limits differ in joint ranges alone, have the same.
+    """
+    r = math.exp(-brake_rate * tick_s)
     speed = [np.array([0.0, 1.0]), np.array([1.0, 0.0])]
     for _ in range(math.ceil(6.0 / (-math.log(r))) + 3):
         speed.append(2 * r * speed[-1] - r * r * speed[-2])
@@ -347,31 +357,32 @@ def _brake_derivatives(limits: MotionLimits, tick_s: float) -> dict[str, Array]:
     a = np.diff(v, axis=0) / tick_s
     j = np.diff(a, axis=0) / tick_s
     ahead = {"joint speed": v[2:], "joint acceleration": a[1:], "joint jerk": j}
-    most = {"joint acceleration": limits.acceleration_rad_s2, "joint jerk": limits.jerk_rad_s3}
+    most = {"joint acceleration": acceleration_rad_s2, "joint jerk": jerk_rad_s3}
     keep: dict[str, set[int]] = {kind: set() for kind in ahead}
-    for joint_speed in set(limits.speed_rad_s):
+    for joint_speed in speeds_rad_s:
         # |row · x| <= limit for all rows holds exactly if it holds for the corners of the hull of ±rows / limit.
         scaled = {kind: rows / most.get(kind, joint_speed) for kind, rows in ahead.items()}
         owner = [(kind, i) for kind, rows in scaled.items() for i in range(len(rows))]
         for corner in _hull_corners(np.vstack(list(scaled.values()))):
             keep[owner[corner][0]].add(owner[corner][1])
     # The bound of the Cartesian speed takes the brake's speeds from these rows: none of its peaks may be missing.
-    keep["joint speed"].update(_brake_ticks(limits.brake_rate() * tick_s).tolist())
+    keep["joint speed"].update(_brake_ticks(brake_rate * tick_s).tolist())
     return {kind: ahead[kind][sorted(keep[kind])].reshape(-1, 2) for kind in ahead}
 
 
 def _hull_corners(points: Array) -> list[int]:
     """Return the corners of the convex hull of `points` and their mirror images, as indices of points."""
     n = len(points)
-    both = np.vstack([points, -points])
-    order = sorted(range(2 * n), key=lambda i: (both[i, 0], both[i, 1]))
+    both: list[list[float]] = np.vstack([points, -points]).tolist()  # a brake of minutes has 72,000 points
+    order = sorted(range(2 * n), key=both.__getitem__)
 
     def chain(indices: list[int]) -> list[int]:
         corners: list[int] = []
         for i in indices:
+            x, y = both[i]
             while len(corners) >= 2:
-                (ax, ay), (bx, by) = both[corners[-1]] - both[corners[-2]], both[i] - both[corners[-2]]
-                if ax * by - ay * bx > 0:
+                (ox, oy), (ax, ay) = both[corners[-2]], both[corners[-1]]
+                if (ax - ox) * (y - oy) - (ay - oy) * (x - ox) > 0:
                     break
                 corners.pop()
             corners.append(i)

@@ -73,7 +73,7 @@ def _check_extras() -> None:
     needs = (
         ("plot", "the demonstration's report"),
         ("records", "reading its records"),
-        ("emulator", "its emulated controllers"),
+        ("emulator", "its emulated cell"),
     )
     try:
         options.check_extras(*needs)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterator
 
 import mujoco
@@ -12,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dual_ur10.assets.scene import build_model
+from dual_ur10.kinematics import dynamics
 from dual_ur10.kinematics.dynamics import inverse_dynamics, mass_matrix
 from dual_ur10.kinematics.robots import ROBOTS
 from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD
@@ -276,6 +278,19 @@ def test_what_a_version_lacks_is_refused_with_the_version_that_has_it(polyscope,
         arm.tick(3)
         assert arm.state == RuntimeState.STOPPED
         assert reason in caplog.text
+    finally:
+        arm.close()
+
+
+@pytest.mark.parametrize("call", ["get_mass_matrix()", "optimovej([0, -1, 1, 0, 0, 0])"])
+def test_a_program_ends_where_the_extra_of_a_function_is_missing(call, caplog, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pinocchio", None)
+    dynamics._model.cache_clear()
+    arm = Arm(f"{call}\nsleep(1)", polyscope="5.26")
+    try:
+        arm.tick(40)
+        assert arm.state == RuntimeState.STOPPED
+        assert 'the dynamics of an arm needs pin: pip install "dual-ur10[dynamics]"' in caplog.text
     finally:
         arm.close()
 

@@ -10,6 +10,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 from typing import Annotated, Any, ClassVar, Final, TypeVar
 
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
@@ -95,6 +96,10 @@ def loads(text: bytes, where: str, error: type[DualUR10Error] = CheckpointError)
         raise error(f"{where} cannot be read as JSON: {reason!s:.200}") from None
 
 
+_adapter: Callable[[Any], TypeAdapter[Any]] = lru_cache(maxsize=64)(TypeAdapter)
+"""Return Pydantic's schema of a dataclass, which takes longer to make than a file to read."""
+
+
 def read(kind: type[T], value: Any, where: str, error: type[DualUR10Error] = CheckpointError) -> T:
     """Return a dataclass from the JSON object that holds its fields.
 
@@ -104,7 +109,7 @@ def read(kind: type[T], value: Any, where: str, error: type[DualUR10Error] = Che
     """
     try:
         # As text again: only there does strictness take a list for a tuple and an object for a dataclass.
-        result = TypeAdapter(kind).validate_json(json.dumps(value))
+        result: T = _adapter(kind).validate_json(json.dumps(value))
     except ValidationError as reason:
         raise error(_findings(reason, where, value)) from None
     if found := list(_absent(dataclasses.asdict(result), value, where)):  # type: ignore[call-overload]  # a dataclass
@@ -119,7 +124,7 @@ def check(value: object, where: str, error: type[DualUR10Error]) -> None:
         DualUR10Error: As `error`, with all findings and their paths.
     """
     try:
-        TypeAdapter(type(value)).validate_python(value)
+        _adapter(type(value)).validate_python(value)
     except ValidationError as reason:
         raise error(_findings(reason, where, value)) from None
 

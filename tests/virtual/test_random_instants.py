@@ -94,29 +94,6 @@ def test_a_goal_is_cancelled(rng, cell, executor):
     check_rest(cell, executor)
 
 
-@seeds(4)
-def test_a_goal_is_replaced(rng, cell, executor):
-    trajectory = draw(rng)
-    first = executor.execute(trajectory)
-    steps(executor, int(rng.integers(0, int(trajectory.duration_s / executor.law.period_s))))
-    at_once, start_s = bool(rng.integers(2)), None
-    second = wave(rng.uniform(1.0, 2.0), 7, rng.uniform(-0.2, 0.2), 1, first_s=0.0 if at_once else 2.0)
-    if rng.integers(2):
-        start_s = executor.time_s + rng.uniform(0.0, 1.0)
-    after = executor.execute(TrajectoryGoal(second, start_s=start_s))
-    result, before = after.wait(), first.wait()
-    if result.state == GoalState.REJECTED:  # no way leads from that motion onto its first point at once
-        assert at_once
-        assert result.code == ResultCode.INVALID_GOAL
-        assert before.succeeded, before.text
-    else:
-        assert result.succeeded, result.text
-        ended = before.succeeded or (before.state, before.reason) == (GoalState.PREEMPTED, "replaced")
-        assert ended, before.text
-        np.testing.assert_allclose(executor.measured_q_rad, second.q_rad[-1], atol=3e-3)
-    check_rest(cell, executor)
-
-
 @seeds(2)
 def test_a_stream_runs_out_of_points(rng, cell, executor):
     trajectory, known = draw(rng, points_per_s=25.0), 20

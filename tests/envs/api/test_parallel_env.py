@@ -16,6 +16,7 @@ from dual_ur10 import errors
 from dual_ur10.envs import aec_env, parallel_env
 from dual_ur10.envs.api.parallel_env import DualArmParallelEnv
 from dual_ur10.kinematics.ur10 import ARMS
+from tests import scripts
 from tests.envs.equality import equal
 from tests.soak import scaled
 
@@ -430,9 +431,10 @@ def test_registering_loads_nothing_heavy_and_can_be_repeated():
     assert result.stdout == result.stderr == ""
 
 
-def test_the_functions_keep_their_names_whatever_is_imported_first():
+def test_the_functions_keep_their_names_whatever_is_imported_first(tmp_path):
     for first in ("dual_ur10.envs.api.parallel_env", "dual_ur10.envs.api.dm_env", "dual_ur10.envs.api.dual_arm_env"):
-        code = (
+        path = tmp_path / "first.py"
+        path.write_text(
             f"import {first}\n"
             "from dual_ur10.envs.api.parallel_env import DualArmParallelEnv\n"
             "from dual_ur10.envs.api.dm_env import DualArmDmEnv\n"
@@ -441,4 +443,4 @@ def test_the_functions_keep_their_names_whatever_is_imported_first():
             "assert all(type(getattr(envs, name)) is FunctionType for name in envs.__all__)\n"
             "import pickle; assert pickle.loads(pickle.dumps(DualArmParallelEnv)) is DualArmParallelEnv\n"
         )
-        subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+        scripts.run(path, folder=tmp_path, output=tmp_path / "output")

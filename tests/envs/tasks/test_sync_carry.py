@@ -129,9 +129,9 @@ def test_arms_with_tools_of_different_length_are_synchronous(tools):
     env.close()
 
 
+@pytest.mark.skipif(not SOAK, reason="one such episode is part of the demonstration that is tested")
 def test_success_over_random_plants():
-    episodes, width = (300, 15) if SOAK else (1, 1)
-    successes = 0
+    episodes, width, successes = 300, 15, 0
     for first in range(0, episodes, width):
         env = gym.make_vec(CARRY, num_envs=width, randomization="mild", autoreset_mode="Disabled")
         policy = policies.load("scripted", CARRY, randomization="mild")

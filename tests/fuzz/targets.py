@@ -563,7 +563,7 @@ def fault_injection(data: bytes) -> None:
         cell.tick()
         _INJECTION.after_tick(cell.time_s)
     for server in cell._made[:1]:
-        server._reader.shutdown()
+        server._reader.close()
 
 
 # Files.

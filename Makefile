@@ -8,7 +8,7 @@ OLDEST := .venv-oldest
 RLLIB := .venv-rllib
 CLIENTS := .venv-clients
 CHROMIUM ?= /usr/bin/chromium
-KERNEL := dual_ur10/kernel/_kernel.so
+KERNEL := packages/ur-core/ur_core/kernel/_kernel.so
 # What is imported is compiled then: compiling all that torch and others bring takes longer than all the rest.
 PIP_FLAGS := --quiet --disable-pip-version-check --no-compile
 # The tests run the examples that come with ur_rtde's source.
@@ -46,37 +46,37 @@ $(VENV)/bin/python: | check-python
 
 # What the demo needs: the package, its plots, the emulator, and ur_rtde as its client. No torch. Where ur_rtde cannot be
 # installed, the demo says so and shows the rest.
-$(VENV)/.demo: pyproject.toml constraints.txt $(VENV)/bin/python
+$(VENV)/.demo: pyproject.toml packages/ur-core/pyproject.toml constraints.txt $(VENV)/bin/python
 	@echo "Installing dual-ur10 with its plots and ur_rtde into $(VENV) ..."
-	@$(VENV)/bin/python -m pip install $(PIP_FLAGS) -c constraints.txt -e '.[plot,emulator,real]' || { \
+	@$(VENV)/bin/python -m pip install $(PIP_FLAGS) -c constraints.txt -e packages/ur-core -e '.[plot,emulator,real]' || { \
 	  echo "ur_rtde could not be installed: trying without it."; \
-	  $(VENV)/bin/python -m pip install $(PIP_FLAGS) -c constraints.txt -e '.[plot,emulator,records]'; }
+	  $(VENV)/bin/python -m pip install $(PIP_FLAGS) -c constraints.txt -e packages/ur-core -e '.[plot,emulator,records]'; }
 	@touch $@
 
 # What the tests need, too.
-$(VENV)/.dev: pyproject.toml constraints.txt $(VENV)/bin/python | check-python-of-tests
+$(VENV)/.dev: pyproject.toml packages/ur-core/pyproject.toml constraints.txt $(VENV)/bin/python | check-python-of-tests
 	@echo "Installing dual-ur10 with all that its tests need into $(VENV) ..."
-	@$(VENV)/bin/python -m pip install $(PIP_FLAGS) -c constraints.txt -e '.[dev]'
+	@$(VENV)/bin/python -m pip install $(PIP_FLAGS) -c constraints.txt -e packages/ur-core -e '.[dev]'
 	@$(FETCH_EXAMPLES) $(VENV)/sdist || echo "The examples of ur_rtde could not be fetched: their test is skipped."
 	@touch $@ $(VENV)/.demo
 
 # What fuzzing needs beside the package. No torch.
-$(VENV)/.fuzz: pyproject.toml constraints.txt $(VENV)/bin/python
+$(VENV)/.fuzz: pyproject.toml packages/ur-core/pyproject.toml constraints.txt $(VENV)/bin/python
 	@echo "Installing dual-ur10 with a fuzzer into $(VENV) ..."
-	@$(VENV)/bin/python -m pip install $(PIP_FLAGS) -c constraints.txt -e '.[fuzz]'
+	@$(VENV)/bin/python -m pip install $(PIP_FLAGS) -c constraints.txt -e packages/ur-core -e '.[fuzz]'
 	@touch $@
 
-$(OLDEST)/.dev: pyproject.toml constraints-oldest.txt | check-python
+$(OLDEST)/.dev: pyproject.toml packages/ur-core/pyproject.toml constraints-oldest.txt | check-python
 	@echo "Installing the oldest supported versions into $(OLDEST) ..."
 	@test -x $(OLDEST)/bin/python || $(PYTHON) -m venv $(OLDEST)
-	@$(OLDEST)/bin/python -m pip install $(PIP_FLAGS) -c constraints-oldest.txt -e '.[plot,test]'
+	@$(OLDEST)/bin/python -m pip install $(PIP_FLAGS) -c constraints-oldest.txt -e packages/ur-core -e '.[plot,test]'
 	@touch $@
 
 # RLlib pins a Gymnasium of its own choice, and asks for some hundred MB that nothing else needs.
-$(RLLIB)/.dev: pyproject.toml constraints-rllib.txt | check-python
+$(RLLIB)/.dev: pyproject.toml packages/ur-core/pyproject.toml constraints-rllib.txt | check-python
 	@echo "Installing dual-ur10 with Ray RLlib into $(RLLIB) ..."
 	@test -x $(RLLIB)/bin/python || $(PYTHON) -m venv $(RLLIB)
-	@$(RLLIB)/bin/python -m pip install $(PIP_FLAGS) -c constraints-rllib.txt -e '.[rllib]' hypothesis psutil pytest
+	@$(RLLIB)/bin/python -m pip install $(PIP_FLAGS) -c constraints-rllib.txt -e packages/ur-core -e '.[rllib]' hypothesis psutil pytest
 	@touch $@
 
 # Clients of UR controllers by others. One of them needs a NumPy that nothing else takes.
@@ -88,9 +88,9 @@ $(CLIENTS)/.dev: constraints-clients.txt | check-python
 
 # The compiled kernel lies in the package, one for all environments. Each installation compiles it; this does so again
 # after a change of its sources. pip brings a compiler where there is none.
-$(KERNEL): hatch_build.py $(wildcard dual_ur10/kernel/*.?pp) dual_ur10/kernel/flags.txt | $(VENV)/bin/python
+$(KERNEL): packages/ur-core/hatch_build.py $(wildcard packages/ur-core/ur_core/kernel/*.?pp) packages/ur-core/ur_core/kernel/flags.txt | $(VENV)/bin/python
 	@echo "Compiling the control kernel ..."
-	@$(VENV)/bin/python -m pip install $(PIP_FLAGS) --no-deps -e .
+	@$(VENV)/bin/python -m pip install $(PIP_FLAGS) --no-deps -e packages/ur-core
 
 install: $(VENV)/.dev $(KERNEL)  ## set up .venv for the tests
 
@@ -137,9 +137,9 @@ SAME_WITH_OLDEST = ur_emulator fuzz virtual/faults virtual/test_simulation.py vi
 test-oldest: $(OLDEST)/.dev $(KERNEL)  ## the tests that step MuJoCo or know Gymnasium, with MuJoCo 3.17 and Gymnasium 1.2.2
 	@$(OLDEST)/bin/python -m pytest -n 2 --dist worksteal -m "not emulated" $(addprefix --ignore tests/,$(SAME_WITH_OLDEST))
 
-dist: $(VENV)/.dev  ## build wheel and sdist into out/dist, and check the sdist by building from it
+dist: $(VENV)/.dev  ## build wheels and sdists into out/dist, and check each sdist by building from it
 	@rm -rf out/dist
-	@$(VENV)/bin/python -m build --outdir out/dist
+	@for each in packages/ur-core .; do $(VENV)/bin/python -m build --outdir out/dist $$each || exit 1; done
 
 # Not --quiet: it hides warnings from --strict as well.
 docs: $(VENV)/.dev $(KERNEL)  ## build the documentation site into out/site, strictly

@@ -28,19 +28,19 @@ import carry
 import handover
 import numpy as np
 
-from dual_ur10 import kinematics
 from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.cli.demo_report.case import Case, speed_ratio
 from dual_ur10.cli.demo_report.sine import ASYMMETRIC_CELL, PERTURBED_CELL, TASK, sine_case
 from dual_ur10.envs.tasks.sine_tracking.settings import SineSettings
 from dual_ur10.envs.tasks.sine_tracking.task import SineTracking
-from dual_ur10.kinematics.frames import to_base
-from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.policies.evaluation.accuracy import accuracy
 from dual_ur10.sim2real.control.adapter import ServojAdapter
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.pipeline import ServojPipeline
+from ur_core import kinematics
+from ur_core.kinematics.frames import to_base
+from ur_core.kinematics.ur10 import NOMINAL_DH
 
 AXES = ("x", "y", "z")
 DURATION_S = 30.0

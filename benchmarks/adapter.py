@@ -27,11 +27,11 @@ from scipy.optimize import linprog
 
 import dual_ur10  # noqa: F401  # registers the ids
 from dual_ur10.assets.settings import HOME_Q_RAD
-from dual_ur10.kinematics import flange_pose
-from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.control.adapter import TCP_STEP_M_S, ServojAdapter
 from dual_ur10.sim2real.control.limits import MotionLimits
-from dual_ur10.sim2real.control.servoj import ServojLaw, ServojProfile
+from ur_core.kinematics import flange_pose
+from ur_core.kinematics.ur10 import NOMINAL_DH
+from ur_core.servoj import ServojLaw, ServojProfile
 
 JOINT = 5  # of the left arm: no Cartesian limit binds
 RATES_HZ = (12.5, 25.0, 62.5, 125.0)

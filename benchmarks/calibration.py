@@ -39,7 +39,6 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # simulated observations are
 from dual_ur10 import ArmMount, CellConfig
 from dual_ur10.cli.demo_report.carry import CARRY_ID, TASK
 from dual_ur10.cli.demo_report.case import Case
-from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters
 from dual_ur10.sim2real.calibration.estimate import LEVEL, BaseEstimate, estimate
 from dual_ur10.sim2real.calibration.observations import BarPose, Noise, Observation, Touch
 from dual_ur10.sim2real.calibration.recording import touched
@@ -47,6 +46,7 @@ from dual_ur10.sim2real.calibration.suggestions import bar_candidates, best, pla
 from dual_ur10.sim2real.calibration.transforms import right_in_left, rotation_of, rotvec_of
 from dual_ur10.sim2real.config.perturbation import Perturbation
 from tests.sim2real.calibration.simulated import bar_poses, board_views, held, random_dh
+from ur_core.kinematics.ur10 import NOMINAL_DH, DHParameters
 
 Array = NDArray[np.float64]
 Arms = tuple[DHParameters, DHParameters]

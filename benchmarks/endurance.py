@@ -23,9 +23,9 @@ import psutil
 
 import dual_ur10  # noqa: F401  # registers the environments
 from dual_ur10.errors import CellFaulted, DualUR10Error
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies import load
 from dual_ur10.testing import VirtualCell
+from ur_core.kinematics.ur10 import ARMS
 
 ENV_ID = "DualUR10/SineTracking-v0"
 REPORT_S = 600.0

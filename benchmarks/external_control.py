@@ -24,11 +24,11 @@ import psutil
 ROOT = pathlib.Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))  # the driver is that of the tests
 
-from dual_ur10.kinematics.ur10 import ARMS, TICK_S
-from dual_ur10.sim2real.links.rtde_link import RtdeLink
-from dual_ur10.sim2real.processes.system import LOCAL
-from dual_ur10.sim2real.protocol.modes import RuntimeState
 from tests.external_control import SCALE, Driver, Mode, Result
+from ur_core.kinematics.ur10 import ARMS, TICK_S
+from ur_core.links.rtde_link import RtdeLink
+from ur_core.processes.system import LOCAL
+from ur_core.protocol.modes import RuntimeState
 from ur_emulator.emulated_cell import EmulatedCell
 from ur_emulator.profile import profile_of
 

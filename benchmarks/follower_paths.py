@@ -12,12 +12,12 @@ from scipy.spatial.transform import Rotation, Slerp
 from dual_ur10.envs.tasks.geometry import flanges_of
 from dual_ur10.envs.tasks.sync_carry.path import CarryPath
 from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings
-from dual_ur10.kinematics.forward import flange_pose
-from dual_ur10.kinematics.frames import ArmMount, to_base
-from dual_ur10.kinematics.inverse import nearest
-from dual_ur10.kinematics.poses import Poses, compose
-from dual_ur10.kinematics.rotations import quat_to_matrix
-from dual_ur10.kinematics.ur10 import NOMINAL_DH
+from ur_core.kinematics.forward import flange_pose
+from ur_core.kinematics.frames import ArmMount, to_base
+from ur_core.kinematics.inverse import nearest
+from ur_core.kinematics.poses import Poses, compose
+from ur_core.kinematics.rotations import quat_to_matrix
+from ur_core.kinematics.ur10 import NOMINAL_DH
 
 AMPLITUDE_M, FREQUENCY_HZ, DURATION_S, RAMP_S = 0.1, 0.5, 12.0, 2.0  # of the swing
 LOWER_S = 4.0

@@ -31,17 +31,17 @@ from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
 from dual_ur10.assets.props import BAR_MASS_KG
-from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
-from dual_ur10.kinematics.forward import flange_pose
-from dual_ur10.kinematics.poses import Poses
-from dual_ur10.kinematics.ur10 import ARMS, NOMINAL_DH
 from dual_ur10.sim2real.control.link_profiles import profile_for
-from dual_ur10.sim2real.links.link_socket import LinkSocket
-from dual_ur10.sim2real.links.rtde_link import RtdeLink
 from dual_ur10.sim2real.peripherals.grippers import Grippers
 from dual_ur10.sim2real.runtime.point_stream import PointStream
 from dual_ur10.sim2real.runtime.runner import Runner
 from dual_ur10.sim2real.trajectory.point_path import PointPath
+from ur_core.kinematics.forward import flange_pose
+from ur_core.kinematics.poses import Poses
+from ur_core.kinematics.ur10 import ARMS, NOMINAL_DH
+from ur_core.links.link_socket import LinkSocket
+from ur_core.links.rtde_link import RtdeLink
+from ur_core.tools.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 
 REST_S = 1.0  # of the observation, before and after
 GRIP_S = 1.5  # for closing
@@ -260,8 +260,8 @@ def emulated(task: str, plant: str) -> Iterator[Rig]:
     import tempfile
 
     from dual_ur10.sim2real.config.cell_file import load_cell_file
-    from dual_ur10.sim2real.processes.system import LOCAL
     from dual_ur10.testing import EmulatedCell
+    from ur_core.processes.system import LOCAL
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "cell.toml"

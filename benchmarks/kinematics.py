@@ -21,9 +21,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10 import kinematics
-from dual_ur10.kinematics.robots import ROBOTS
-from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD, NOMINAL_DH, DHParameters, nominal_dh
+from ur_core import kinematics
+from ur_core.kinematics.robots import ROBOTS
+from ur_core.kinematics.ur10 import JOINT_RANGE_RAD, NOMINAL_DH, DHParameters, nominal_dh
 
 Array = NDArray[np.float64]
 

@@ -30,10 +30,10 @@ from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.control.planner import plan_path
-from dual_ur10.sim2real.control.servoj import ServojProfile
 from dual_ur10.sim2real.runtime.approach import Approach, Rates
 from dual_ur10.sim2real.trajectory.path_check import TargetLaw
 from dual_ur10.sim2real.trajectory.path_timing import refusal_of, time_path
+from ur_core.servoj import ServojProfile
 
 Array = NDArray[np.float64]
 

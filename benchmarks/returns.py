@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from dual_ur10 import policies
 from dual_ur10.envs.api.vector_env import DualArmVectorEnv
 from dual_ur10.ids import ENV_IDS
-from dual_ur10.kinematics.frames import Frames
+from ur_core.kinematics.frames import Frames
 
 Array = NDArray[np.float64]
 JOINTS = 6

@@ -30,7 +30,6 @@ import numpy as np
 from dual_ur10 import policies
 from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.errors import CellFaulted, LinkError, StartError
-from dual_ur10.kinematics.ur10 import TICK_S
 from dual_ur10.policies import evaluate, rollout
 from dual_ur10.sim2real.analysis.timing import timing
 from dual_ur10.sim2real.config.cell_file import load_cell_file
@@ -39,6 +38,7 @@ from dual_ur10.sim2real.runtime.arm_memory import Phase
 from dual_ur10.sim2real.runtime.arm_sender import STOP_RAD_S2
 from dual_ur10.sim2real.runtime.latch import Latch
 from dual_ur10.sim2real.runtime.runner import Runner
+from ur_core.kinematics.ur10 import TICK_S
 from ur_emulator.emulated_cell import EmulatedCell
 
 ARMS = ("left", "right")

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dual_ur10.envs.tasks.task import Task
-from dual_ur10.types import Rows
+from ur_core.types import Rows
 
 
 class SpeedMeter:

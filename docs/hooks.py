@@ -63,7 +63,7 @@ def errors() -> str:
 
 def robots() -> str:
     """Return the table of all models of arms."""
-    from dual_ur10.kinematics.robots import ROBOTS
+    from ur_core.kinematics.robots import ROBOTS
 
     shapes = [("model", "name", "family", "reach (m)", "payload (kg)", "d1, a2, a3, d4, d5, d6 (m)")]
     loads = [("model", "links (kg)", "speed (°/s)", "torque (N·m)", "inertia tensors", "speed and torque")]
@@ -87,7 +87,7 @@ def urscript() -> str:
     """Return the table of the functions of URScript that the emulated controllers have, and the list of the others."""
     import numpy as np
 
-    from dual_ur10.kinematics.ur10 import NOMINAL_DH
+    from ur_core.kinematics.ur10 import NOMINAL_DH
     from ur_emulator.builtins import builtins_of
     from ur_emulator.controller import Controller
     from ur_emulator.profile import POLYSCOPES

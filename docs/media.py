@@ -23,9 +23,9 @@ from PIL import Image, ImageDraw, ImageFont
 from dual_ur10.assets.scene import build_model
 from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.ids import env_id_of
-from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.robots import ROBOTS
 from dual_ur10.policies import make
+from ur_core.kinematics.frames import ArmMount
+from ur_core.kinematics.robots import ROBOTS
 
 DOCS = Path(__file__).parent
 MEDIA = DOCS / "media"

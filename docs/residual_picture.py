@@ -14,13 +14,13 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))  # arms as built are those of the tests
 
 from dual_ur10.assets.settings import SceneSettings
-from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.calibration.estimate import estimate
 from dual_ur10.sim2real.calibration.observations import Noise
 from dual_ur10.sim2real.calibration.recording import touched
 from dual_ur10.sim2real.calibration.suggestions import plan, touch_candidates
 from dual_ur10.sim2real.calibration.transforms import right_in_left
 from tests.sim2real.calibration.simulated import random_dh
+from ur_core.kinematics.ur10 import NOMINAL_DH
 
 TARGET = Path(__file__).parent / "images" / "calibration_residuals.png"
 TIP_M = (0.0, 0.0, 0.17)

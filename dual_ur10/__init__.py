@@ -9,16 +9,16 @@ Importing the package registers the environments with Gymnasium and PettingZoo. 
 """
 
 from dual_ur10.ids import __version__
-from dual_ur10.sim2real.processes import interrupts  # first, so that Ctrl-C during what follows gives one line
+from ur_core.processes import interrupts  # first, so that Ctrl-C during what follows gives one line
 
 if not interrupts.is_child():  # the processes that move, stop or record arms start faster without the rest
     from dual_ur10 import registration  # noqa: F401  # registers
     from dual_ur10.ids import ENV_IDS
-    from dual_ur10.kinematics.frames import ArmMount
-    from dual_ur10.kinematics.ur10 import DHParameters
     from dual_ur10.sim2real.config.cell import CellConfig
     from dual_ur10.sim2real.config.perturbation import TYPICAL_PERTURBATION, Perturbation
-    from dual_ur10.sim2real.control.servoj import ServojProfile
+    from ur_core.kinematics.frames import ArmMount
+    from ur_core.kinematics.ur10 import DHParameters
+    from ur_core.servoj import ServojProfile
 
 __all__ = [
     "ENV_IDS",

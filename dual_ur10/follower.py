@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 
-from dual_ur10.assets.gains import STIFF
 from dual_ur10.assets.settings import Equipment, home_q_rad
 from dual_ur10.errors import UnknownNameError
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.commissioning.operator_prompts import Confirm
 from dual_ur10.sim2real.config.cell import CellRequest, HostedCell
 from dual_ur10.sim2real.config.cell_kinds import make_cell
@@ -17,11 +15,13 @@ from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.control.proximity import ProximityScaling
-from dual_ur10.sim2real.processes.system import LOCAL
 from dual_ur10.sim2real.recording.of_env import record_run
 from dual_ur10.sim2real.trajectory.executor import TrajectoryExecutor
 from dual_ur10.sim2real.trajectory.path_check import TargetLaw
-from dual_ur10.types import Array
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.mjcf.gains import STIFF
+from ur_core.processes.system import LOCAL
+from ur_core.types import Array
 
 TICKS = 2
 """Targets per period: after so many ticks at most, a violated tolerance is noticed."""

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib
 import logging
-import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from contextvars import ContextVar
-from types import ModuleType
 from typing import Any, Final
 
 from dual_ur10.errors import SettingsError, UnknownNameError
+from ur_core import objects
 
 __version__ = "0.1.0"
 
@@ -86,7 +83,6 @@ FAILED_ENTRY_POINTS: Final[dict[str, str]] = {}
 """Reasons for which entry points of `discover` could not be loaded, by "name = value"."""
 
 _loaded: set[str] = set()
-_received: ContextVar[str] = ContextVar("received", default="")
 
 
 @contextmanager
@@ -100,11 +96,8 @@ def received(source: str) -> Iterator[None]:
     Args:
         source: Noun for messages, such as "the recording".
     """
-    token = _received.set(source)
-    try:
+    with objects.received(source, discover, ENTRY_POINT_GROUP):
         yield
-    finally:
-        _received.reset(token)
 
 
 def discover() -> None:
@@ -155,7 +148,7 @@ def env_id_of(name: str) -> str:
         raise SettingsError(f'the environment is {name!r:.80}: pass its id, such as "Handover"')
     module, colon, name = name.rpartition(":")
     if colon:
-        _import(module, f"the module {module!r}, which is to register {name!r},", _received.get())
+        objects.load_module(module, f"the module {module!r}, which is to register {name!r},")
     if name in TASKS:
         return name
     fitting = [env_id for env_id in _fitting(name) if env_id in ENV_IDS]
@@ -181,50 +174,3 @@ def _fitting(name: str) -> list[str]:
 def _short_forms(env_id: str) -> tuple[str, str, str]:
     versioned, unversioned = env_id.split("/")[1], env_id.rsplit("-v", 1)[0]
     return versioned, unversioned, unversioned.split("/")[1]
-
-
-def load_object(path: str, kind: str, *, registered: bool = False) -> Any:
-    """Import an object, "module:name".
-
-    Args:
-        path: Module and name.
-        kind: Noun for the message, such as "the task of MyLab/Reach-v0".
-        registered: The path is that of something registered, and was not received.
-
-    Raises:
-        SettingsError: The module cannot be imported, or has no such name; or data that were received name it, and it
-            was not imported before, or is called.
-    """
-    module, _, name = path.partition(":")
-    source = "" if registered else _received.get()
-    holder = _import(module, f"{kind}, {path!r},", source)
-    try:
-        # A module may run code for a name that it does not have.
-        found = vars(holder)[name] if source else getattr(holder, name)
-    except Exception as error:
-        raise SettingsError(f"{kind}, {path!r}, cannot be imported: {error}. Name what {module!r} defines") from error
-    if source and callable(found):
-        raise SettingsError(
-            f"{kind}, {path!r}, is named by {source}, and nothing is called for what was received: name what this "
-            "package or an installed one registers"
-        )
-    return found
-
-
-def _import(module: str, what: str, source: str) -> ModuleType:
-    """Return a module, which is imported unless it is named by received data, whose noun is `source`."""
-    if source:
-        discover()
-        if module not in sys.modules:
-            raise SettingsError(
-                f"{what} is named by {source}, and nothing is imported for what was received: import {module!r} in "
-                f"your program first, or install a package with an entry point of {ENTRY_POINT_GROUP!r} for it"
-            )
-        return sys.modules[module]
-    try:
-        return importlib.import_module(module)
-    except (Exception, SystemExit) as error:  # a module of others may raise anything
-        raise SettingsError(
-            f"{what} cannot be imported: {type(error).__name__}: {error}. Run this where Python finds {module!r}, and "
-            "name what it defines"
-        ) from error

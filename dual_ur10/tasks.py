@@ -9,10 +9,8 @@ It holds names only; each is documented where it is defined. It imports `envs` a
 imports it.
 """
 
-from dual_ur10.assets.gains import COMPLIANT, STIFF, Gains
 from dual_ur10.assets.prop import Camera, Capsule, Prop
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, home_q_rad
-from dual_ur10.assets.tool import Tool
 from dual_ur10.envs.tasks.geometry import (
     PICKING,
     FrameDistances,
@@ -39,16 +37,18 @@ from dual_ur10.envs.tasks.observation_layout import (
 from dual_ur10.envs.tasks.staged import Progress, StagedTask, stage, term
 from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Task, Timing, check_numbers, gaussian
 from dual_ur10.errors import SettingsError
-from dual_ur10.kinematics.frames import Frames
-from dual_ur10.kinematics.poses import Poses, compose, pose, relative_to, rotation_angle, yaw_quat
-from dual_ur10.kinematics.rotations import quat_conjugate, quat_from_rotvec, quat_multiply, rotate
 from dual_ur10.policies.scripted.base import Fields, Script, ScriptedPolicy, Wish, on_table
 from dual_ur10.policies.scripted.motions import Motions, Steps, least_jerk, pair, raised
 from dual_ur10.policies.training.settings import Imitation, Reinforcement, TaskSettings
 from dual_ur10.registration import register
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.control.limits import MotionLimits
-from dual_ur10.types import Array, Mask, Rows
+from ur_core.kinematics.frames import Frames
+from ur_core.kinematics.poses import Poses, compose, pose, relative_to, rotation_angle, yaw_quat
+from ur_core.kinematics.rotations import quat_conjugate, quat_from_rotvec, quat_multiply, rotate
+from ur_core.mjcf.gains import COMPLIANT, STIFF, Gains
+from ur_core.tools.tool import Tool
+from ur_core.types import Array, Mask, Rows
 
 __all__ = [
     "ARM_FIELDS",

@@ -124,11 +124,8 @@ def constants() -> dict[str, str]:
     from dual_ur10.envs.core.setup import load_task
     from dual_ur10.envs.tasks.observation_layout import ConciseView
     from dual_ur10.ids import ENV_IDS
-    from dual_ur10.kinematics import ur10
-    from dual_ur10.kinematics.robots import ROBOTS
     from dual_ur10.sim2real.config import cell
     from dual_ur10.sim2real.control import cartesian_step, clearance, gate, proximity
-    from dual_ur10.sim2real.control.servoj import TICK_S
     from dual_ur10.sim2real.runtime import (
         approach,
         arm_process,
@@ -138,6 +135,9 @@ def constants() -> dict[str, str]:
         safety_monitor,
         tracking,
     )
+    from ur_core.kinematics import ur10
+    from ur_core.kinematics.robots import ROBOTS
+    from ur_core.servoj import TICK_S
 
     facts = {"models": f"{len(ROBOTS)}"}
     for env_id in ENV_IDS:
@@ -160,7 +160,9 @@ def constants() -> dict[str, str]:
     ):
         facts[f"{name}_pairs"] = f"{len(clearance_pairs(SceneSettings(equipment=equipment)))}"
     facts["payload_adds"] = f"{int(facts['payload_pairs']) - int(facts['gripper_pairs'])}"
-    shapes = re.search(r"enum Shape {(.*)}", (ROOT / "dual_ur10" / "kernel" / "distances.hpp").read_text())
+    shapes = re.search(
+        r"enum Shape {(.*)}", (ROOT / "packages" / "ur-core" / "ur_core" / "kernel" / "distances.hpp").read_text()
+    )
     for number, shape in enumerate(re.findall(r"\w+(?= =)", shapes[1] if shapes else "")):
         facts[f"shape{number}"] = shape.lower()
     return facts | {

@@ -12,8 +12,8 @@ import struct
 from collections.abc import Sequence
 from enum import IntEnum
 
-from dual_ur10.sim2real.processes.system import System
-from dual_ur10.sim2real.processes.transport import Transport
+from ur_core.processes.system import System
+from ur_core.processes.transport import Transport
 
 PORTS = {"reverse": 50001, "script": 50002, "trajectory": 50003, "command": 50004}
 SCALE = 1_000_000

@@ -23,13 +23,13 @@ from dual_ur10.assets.settings import Equipment, SceneSettings
 from dual_ur10.cli.main import app
 from dual_ur10.envs.core.randomization import PRESETS
 from dual_ur10.ids import ENV_IDS, TASKS, env_id_of
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies.baselines import BASELINES
 from dual_ur10.policies.operators.catalog import DEVICES
 from dual_ur10.policies.registry import NAMES
 from dual_ur10.policies.training import settings
 from tests import documented_facts, scripts
 from tests.cli.command import run
+from ur_core.kinematics.ur10 import ARMS
 from ur_emulator.profile import POLYSCOPES, PROFILES
 from ur_emulator.world import PLANTS
 
@@ -467,7 +467,7 @@ def test_commands_parse(path, workplace, monkeypatch):
 
 def _code():
     """Return the code of both packages, with its texts in one piece each."""
-    paths = [path for package in ("dual_ur10", "ur_emulator") for path in (ROOT / package).rglob("*.py")]
+    paths = [path for package in ("dual_ur10", "ur_emulator", "packages") for path in (ROOT / package).rglob("*.py")]
     code = "\n".join(path.read_text() for path in paths)
     return re.sub(r'"\s*f?"', "", code)
 
@@ -567,7 +567,7 @@ def _names_of_earlier_systems():
 def test_what_replaces_earlier_systems_exists(name, of):
     """A command, an option of one, a target of `make`, or an object of the package."""
     targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
-    if name.startswith(("dual_ur10.", "ur_emulator.")):
+    if name.startswith(("dual_ur10.", "ur_core.", "ur_emulator.")):
         pkgutil.resolve_name(name)
     elif name.startswith("make "):
         assert name.removeprefix("make ") in targets

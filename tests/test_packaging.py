@@ -18,6 +18,7 @@ import yaml
 from dual_ur10.errors import MissingExtraError
 
 ROOT = pathlib.Path(__file__).parents[1]
+CORE = ROOT / "packages" / "ur-core"
 WORKFLOWS = ROOT / ".github" / "workflows"
 
 
@@ -29,53 +30,74 @@ def _built(root, kind, out):
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory):
-    return _built(ROOT, "wheel", tmp_path_factory.mktemp("wheel"))
+def wheels(tmp_path_factory):
+    """Wheels by the folders of their distributions."""
+    return {root: _built(root, "wheel", tmp_path_factory.mktemp("wheel")) for root in (ROOT, CORE)}
 
 
-def test_the_wheel_holds_the_package_and_nothing_else(wheel):
-    names = zipfile.ZipFile(wheel).namelist()
-    assert {name.split("/")[0] for name in names if ".dist-info" not in name} == {"dual_ur10", "ur_emulator"}
-    packages = {name.split("/")[1] for name in names if name.startswith("dual_ur10/") and name.count("/") == 2}
-    assert {each for each in packages if f"dual_ur10/{each}/__init__.py" in names} == {
-        "assets",
-        "cli",
-        "envs",
-        "kernel",
-        "kinematics",
-        "policies",
-        "sim2real",
-    }
-    assert "dual_ur10/assets/ur10/ur10.xml" in names
-    assert "dual_ur10/sim2real/analysis/templates/page.html" in names
-    assert "dual_ur10/policies/learned/learned_policies/sine_tracking/policy.safetensors" in names
-    assert "dual_ur10/py.typed" in names
+@pytest.fixture(params=[ROOT, CORE], ids=["dual-ur10", "ur-core"])
+def built(request, wheels):
+    """Folder of a distribution, its wheel, and the names in it."""
+    wheel = wheels[request.param]
+    return request.param, wheel, zipfile.ZipFile(wheel).namelist()
+
+
+def test_a_wheel_holds_its_packages_and_nothing_else(built):
+    root, wheel, names = built
+    rooms = {name.rsplit("/", 2)[1] for name in names if name.endswith("/__init__.py") and name.count("/") == 2}
+    held = {name.split("/")[0] for name in names if ".dist-info" not in name}
+    if root == ROOT:
+        assert held == {"dual_ur10", "ur_emulator"}
+        assert {each for each in rooms if f"dual_ur10/{each}/__init__.py" in names} == {
+            "assets",
+            "cli",
+            "envs",
+            "policies",
+            "sim2real",
+        }
+        assert "dual_ur10/sim2real/analysis/templates/page.html" in names
+        assert "dual_ur10/policies/learned/learned_policies/sine_tracking/policy.safetensors" in names
+        assert "dual_ur10/py.typed" in names
+        assert wheel.name.endswith("-py3-none-any.whl")
+        return
+    assert held == {"ur_core"}
+    assert rooms == {"kernel", "kinematics", "links", "mjcf", "processes", "protocol", "tools", "viewing"}
+    assert {"ur_core/mjcf/ur10.xml", "ur_core/py.typed"} <= set(names)
     # The loader compares the sources with what the library was compiled from.
-    sources = {path.name for path in (ROOT / "dual_ur10" / "kernel").glob("*.?pp")}
+    sources = {path.name for path in (root / "ur_core" / "kernel").glob("*.?pp")}
     assert {"kernel.cpp", "gate.hpp"} <= sources
-    kernel = {name.removeprefix("dual_ur10/kernel/") for name in names if name.startswith("dual_ur10/kernel/")}
+    kernel = {name.removeprefix("ur_core/kernel/") for name in names if name.startswith("ur_core/kernel/")}
     assert kernel == {"__init__.py", "_kernel.so", "flags.txt"} | sources
-
-
-def test_the_wheel_is_one_for_all_pythons_of_a_platform(wheel):
     platform = re.sub("[-.]", "_", sysconfig.get_platform())
-    assert wheel.name.endswith(f"-py3-none-{platform}.whl")
+    assert wheel.name.endswith(f"-py3-none-{platform}.whl")  # one for all Pythons of a platform
 
 
-def test_the_sdist_gives_the_same_wheel(wheel, tmp_path):
+def test_an_sdist_gives_the_same_wheel(built, tmp_path):
+    root, wheel, names = built
     for name in ("sdist", "root", "wheel"):
         (tmp_path / name).mkdir()
-    with tarfile.open(_built(ROOT, "sdist", tmp_path / "sdist")) as sdist:
-        names = {name.split("/", 1)[1] for name in sdist.getnames()}
+    with tarfile.open(_built(root, "sdist", tmp_path / "sdist")) as sdist:
+        found = {name.split("/", 1)[1] for name in sdist.getnames()}
         sdist.extractall(tmp_path / "root", filter="data")
-    assert {"hatch_build.py", "pyproject.toml", "dual_ur10/kernel/gate.hpp", "dual_ur10/kernel/flags.txt"} <= names
-    assert {"Makefile", "constraints.txt", "CITATION.cff", "tests/conftest.py", "docs/index.md"} <= names
-    assert not [name for name in names if name.endswith((".so", ".pyc"))]
-    (root,) = (tmp_path / "root").iterdir()
-    again = zipfile.ZipFile(_built(root, "wheel", tmp_path / "wheel"))
-    assert again.namelist() == zipfile.ZipFile(wheel).namelist()
-    library = "dual_ur10/kernel/_kernel.so"
-    assert again.read(library) == zipfile.ZipFile(wheel).read(library)
+    assert {"hatch_build.py", "pyproject.toml"} <= found
+    if root == ROOT:
+        assert {"Makefile", "constraints.txt", "CITATION.cff", "tests/conftest.py", "docs/index.md"} <= found
+    assert not [name for name in found if name.endswith((".so", ".pyc"))]
+    (unpacked,) = (tmp_path / "root").iterdir()
+    again, first = zipfile.ZipFile(_built(unpacked, "wheel", tmp_path / "wheel")), zipfile.ZipFile(wheel)
+    assert again.namelist() == names
+    for name in names:
+        if name.endswith(".so"):
+            assert again.read(name) == first.read(name)
+
+
+def test_the_distributions_have_one_version():
+    import dual_ur10
+    import ur_core
+
+    needed = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"][0]
+    assert needed == f"ur-core[mjcf]=={dual_ur10.__version__}"
+    assert ur_core.__version__ == dual_ur10.__version__
 
 
 def _metadata(repository):
@@ -166,7 +188,16 @@ def test_the_container_installs_what_the_pages_say():
     assert sources
     assert [each for each in sources if not (ROOT / each).exists()] == []
     ignored = (ROOT / ".dockerignore").read_text().splitlines()
-    needed = ["pyproject.toml", "hatch_build.py", "README.md", "LICENSE", "constraints.txt", "dual_ur10", "ur_emulator"]
+    needed = [
+        "pyproject.toml",
+        "hatch_build.py",
+        "README.md",
+        "LICENSE",
+        "constraints.txt",
+        "dual_ur10",
+        "ur_emulator",
+        "packages",
+    ]
     assert [each for each in needed if any(fnmatch.fnmatch(each, pattern) for pattern in ignored)] == []
     assert {".git", ".venv*", "**/_kernel.*"} <= set(ignored)
     (install,) = (rest for rest in given["RUN"] if rest.startswith("pip "))
@@ -208,7 +239,7 @@ def test_actions_of_workflows_are_pinned_by_hash():
     assert not [each for each in uses if not re.fullmatch(r"[\w-]+/[\w-]+@[0-9a-f]{40} # v\d+(\.\d+)+", each)]
 
 
-def test_the_installed_wheel_works(wheel, tmp_path):
+def test_the_installed_wheels_work(wheels, tmp_path):
     target = tmp_path / "site"
     install = [
         sys.executable,
@@ -220,13 +251,15 @@ def test_the_installed_wheel_works(wheel, tmp_path):
         "--no-index",
         "--target",
         str(target),
-        str(wheel),
+        *map(str, wheels.values()),
     ]
     subprocess.run(install, check=True, timeout=120, capture_output=True)
     code = (
         "import pathlib, dual_ur10\n"
         "import dual_ur10.assets.scene, dual_ur10.envs.core.core, dual_ur10.policies, dual_ur10.sim2real.control.gate\n"
+        "import ur_core\n"
         f"assert pathlib.Path(dual_ur10.__file__).is_relative_to({str(target)!r})\n"
+        f"assert pathlib.Path(ur_core.__file__).is_relative_to({str(target)!r})\n"
         "import gymnasium\n"
         "env = gymnasium.make('DualUR10/SineTracking-v0')\n"
         "env.reset(seed=0)\n"
@@ -234,7 +267,7 @@ def test_the_installed_wheel_works(wheel, tmp_path):
         "from importlib.metadata import entry_points, version\n"
         "(script,) = entry_points(group='console_scripts', name='ur-emulator')\n"
         f"assert pathlib.Path(script.load().__code__.co_filename).is_relative_to({str(target)!r})\n"
-        "assert dual_ur10.__version__ == version('dual-ur10')\n"
+        "assert dual_ur10.__version__ == version('dual-ur10') == version('ur-core')\n"
     )
     environment = {"PYTHONPATH": str(target), "PATH": "/usr/bin:/bin", "HOME": str(tmp_path)}
     subprocess.run([sys.executable, "-c", code], check=True, timeout=120, cwd=tmp_path, env=environment)
@@ -250,12 +283,15 @@ wrong: int = cell.left
 """
 
 
-def test_the_types_of_the_wheel_reach_its_users(wheel, tmp_path):
+def test_the_types_of_the_wheels_reach_their_users(wheels, tmp_path):
     pytest.importorskip("mypy")
     home = tmp_path / "venv"
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(home)], check=True, timeout=120)
     (packages,) = home.glob("lib/python*/site-packages")
-    zipfile.ZipFile(wheel).extractall(packages)  # alone: reading what it depends on takes a minute and shows no more
+    for wheel in wheels.values():
+        zipfile.ZipFile(wheel).extractall(
+            packages
+        )  # alone: reading what it depends on takes a minute and shows no more
     consumer = tmp_path / "consumer.py"
     consumer.write_text(CONSUMER)
     command = [sys.executable, "-m", "mypy", "--strict", "--python-executable", str(home / "bin" / "python")]
@@ -273,14 +309,14 @@ def test_the_types_of_the_wheel_reach_its_users(wheel, tmp_path):
     assert "Found 1 error in 1 file" in found.stdout
 
 
-PACKAGES = ("dual_ur10", "ur_emulator")
+PACKAGES = {"dual_ur10": ROOT, "ur_emulator": ROOT, "ur_core": CORE}
 
 
 def _modules():
-    """Yield the modules of both packages: name and path."""
-    for package in PACKAGES:
-        for path in sorted((ROOT / package).rglob("*.py")):
-            name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+    """Yield the modules of all packages: name and path."""
+    for package, root in PACKAGES.items():
+        for path in sorted((root / package).rglob("*.py")):
+            name = ".".join(path.relative_to(root).with_suffix("").parts)
             yield name.removesuffix(".__init__"), path
 
 
@@ -288,8 +324,9 @@ def test_every_module_stands_on_a_floor():
     """`make lint` checks the contracts; a room that none of them names would import as it likes."""
     contracts = configparser.ConfigParser()
     contracts.read(ROOT / ".importlinter")
-    floors = re.split(r"[:\s]+", contracts["importlinter:contract:floors"]["layers"].strip())
-    faces = {"dual_ur10", "dual_ur10.sim2real"}  # of the package, and of a room that holds rooms
+    layers = " ".join(contracts[f"importlinter:contract:{name}"]["layers"] for name in ("floors", "core"))
+    floors = re.split(r"[:\s]+", layers.strip())
+    faces = {"dual_ur10", "dual_ur10.sim2real", "ur_core"}  # of the packages, and of a room that holds rooms
     rooms = tuple(f"{each}." for each in floors)
     unknown = [name for name, _ in _modules() if not f"{name}.".startswith(rooms) and name not in faces]
     assert unknown == []

@@ -17,11 +17,10 @@ import gymnasium as gym
 import pytest
 
 from dual_ur10.assets.prop import Prop
-from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85
 from dual_ur10.assets.scene import compose
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.errors import CheckpointError, DeviceAbsentError, DualUR10Error, RecordingError, SettingsError
-from dual_ur10.ids import env_id_of, load_object, received
+from dual_ur10.ids import env_id_of, received
 from dual_ur10.policies.evaluation.minari_export import _core
 from dual_ur10.policies.learned.checkpoint import _check
 from dual_ur10.policies.learned.manifest import parse
@@ -36,6 +35,8 @@ from tests.fuzz.seeds import SEEDS
 from tests.policies.learned.checkpoints import HANDOVER, leaves, parts, sealed
 from tests.sim2real.recording.runs import header as _header
 from tests.soak import scaled
+from ur_core.objects import load_object
+from ur_core.tools.robotiq_2f85 import ROBOTIQ_2F85
 
 FREE = "DualUR10/Free-v0"
 NO_GRIPPER, GRIPPER = 'kind = "none"', 'kind = "robotiq"\ntool = "robotiq_2f85"'
@@ -171,7 +172,7 @@ def test_nothing_is_called_that_received_data_name(tmp_path: Any) -> None:
 
 
 def test_a_cell_file_that_was_recorded_names_registered_tools(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "my_tools.py").write_text("from dual_ur10.assets.generic_140 import GENERIC_140 as TOOL\n")
+    (tmp_path / "my_tools.py").write_text("from ur_core.tools.generic_140 import GENERIC_140 as TOOL\n")
     monkeypatch.syspath_prepend(tmp_path)
     text = CELL_FILE.replace(GRIPPER, GRIPPER.replace("robotiq_2f85", "my_tools:TOOL"))
     with pytest.raises(RecordingError, match="my_tools:TOOL', is named by the recording"):

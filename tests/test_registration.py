@@ -37,6 +37,7 @@ from dual_ur10.sim2real.analysis.reconstruction import keywords_of
 from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.trajectory import JointTrajectory
 from tests.policies.learned.checkpoints import parts
+from ur_core import objects
 
 # Gymnasium warns of each version that is not the newest.
 pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date.*")
@@ -280,7 +281,7 @@ def test_a_name_may_begin_with_the_module_that_registers_it(installed):
         with pytest.raises(SettingsError, match=f"module '{name}'.* cannot be imported: {error}"):
             env_id_of(f"{name}:A/B-v0")
         with pytest.raises(SettingsError, match=f"the policy.* cannot be imported: {error}"):
-            ids.load_object(f"{name}:Policy", "the policy")
+            objects.load_object(f"{name}:Policy", "the policy")
 
 
 def test_a_name_without_a_version_is_the_newest(register):
@@ -331,7 +332,7 @@ def test_an_unknown_name_comes_with_the_nearest_one(both):
 PUBLIC = {
     "dual_ur10": {"envs", "errors", "follower", "policies", "tasks", "testing"},
     "dual_ur10.envs": set(),
-    "dual_ur10.kinematics": set(),
+    "ur_core.kinematics": set(),
     "dual_ur10.policies": set(),
     "dual_ur10.sim2real.trajectory": set(),
     "dual_ur10.tasks": set(),

@@ -10,8 +10,8 @@ import pytest
 
 from dual_ur10 import policies
 from dual_ur10.errors import CellFaulted, PolicyError, SettingsError, UnknownNameError
-from dual_ur10.sim2real.processes.system import LOCAL
 from dual_ur10.testing import CellForTests, check_policy
+from ur_core.processes.system import LOCAL
 
 pytestmark = pytest.mark.streams
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from dual_ur10.types import Closing
+from ur_core.types import Closing
 
 
 class Door(Closing):

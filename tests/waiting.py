@@ -1,6 +1,6 @@
 """Waiting for a condition in tests of threads and processes."""
 
-from dual_ur10.sim2real.processes.system import LOCAL
+from ur_core.processes.system import LOCAL
 
 
 def until(condition, within_s=10.0, clock=LOCAL.clock):

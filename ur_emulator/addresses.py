@@ -11,8 +11,8 @@ from collections.abc import Collection
 from typing import Final
 
 from dual_ur10.errors import AddressError
-from dual_ur10.sim2real.processes.system import LOCAL, System
-from dual_ur10.sim2real.processes.transport import Listener
+from ur_core.processes.system import LOCAL, System
+from ur_core.processes.transport import Listener
 
 PORTS: Final = {
     "dashboard": 29999,

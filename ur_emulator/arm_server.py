@@ -10,10 +10,10 @@ from concurrent.futures import Future
 from typing import Any, Final
 
 from dual_ur10.errors import OperationRefusedError, ProtocolError, ScriptError, SettingsError
-from dual_ur10.kinematics.ur10 import DHParameters
-from dual_ur10.sim2real.protocol.primary_messages import version_message
-from dual_ur10.sim2real.protocol.primary_packet import RATE_HZ, PrimaryPacket
-from dual_ur10.sim2real.protocol.text_lines import LineReader, refuse_http
+from ur_core.kinematics.ur10 import DHParameters
+from ur_core.protocol.primary_messages import version_message
+from ur_core.protocol.primary_packet import RATE_HZ, PrimaryPacket
+from ur_core.protocol.text_lines import LineReader, refuse_http
 from ur_emulator.addresses import PORTS
 from ur_emulator.controller import Controller
 from ur_emulator.dashboard import GREETING, Dashboard

@@ -8,9 +8,9 @@ from typing import Any, Final
 import numpy as np
 
 from dual_ur10.errors import MissingExtraError, MotionError
-from dual_ur10.kinematics.dynamics import inverse_dynamics, mass_matrix
-from dual_ur10.kinematics.robots import robot_model
-from dual_ur10.types import Array
+from ur_core.kinematics.dynamics import inverse_dynamics, mass_matrix
+from ur_core.kinematics.robots import robot_model
+from ur_core.types import Array
 from ur_emulator.builtins_motion import SOLUTION_STEPS, Blocking, MotionOwner, joints_of, pose_of
 from ur_emulator.controller import Controller
 from ur_emulator.motion.arguments import checked_frame, number, six

@@ -7,8 +7,8 @@ from typing import Any, Final
 import numpy as np
 
 from dual_ur10.errors import MotionError
-from dual_ur10.kinematics.robots import robot_model
-from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD
+from ur_core.kinematics.robots import robot_model
+from ur_core.kinematics.ur10 import JOINT_RANGE_RAD
 from ur_emulator.builtins_motion import SOLUTION_STEPS, joints_of
 from ur_emulator.controller import Controller
 from ur_emulator.script import Builtins, Pose

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any, Final
 
 from dual_ur10.errors import ClosedError, EmulatorError, LinkError, OperationRefusedError
-from dual_ur10.sim2real.links.json_link import JsonLink
-from dual_ur10.sim2real.processes.clock import Clock
-from dual_ur10.types import Closing
+from dual_ur10.sim2real.peripherals.json_link import JsonLink
+from ur_core.processes.clock import Clock
+from ur_core.types import Closing
 
 _POLL_S: Final = 0.01
 

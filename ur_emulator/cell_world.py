@@ -13,18 +13,18 @@ from typing import Any
 import numpy as np
 
 from dual_ur10.assets.settings import home_q_rad
-from dual_ur10.assets.tool import Tool, strokes_m
-from dual_ur10.assets.torque_control import Torques
 from dual_ur10.envs.core.randomization import PRESETS, apply_sample
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.sim.physics import Physics
 from dual_ur10.envs.sim.servo_reference import Motion
 from dual_ur10.envs.tasks.task import SceneRequirements
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
-from dual_ur10.types import Array
+from ur_core.kinematics.frames import ArmMount
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.mjcf.torque_control import Torques
+from ur_core.tools.tool import Tool, strokes_m
+from ur_core.types import Array
 from ur_emulator.controller import ArmReading
 from ur_emulator.motion import JointTorques
 from ur_emulator.world import Delay, Hand, PlantOptions

@@ -13,8 +13,8 @@ from rich.console import Console
 from rich.markup import escape
 
 from dual_ur10.errors import DualUR10Error, SettingsError
-from dual_ur10.sim2real.processes.interrupts import begin_program, end_interrupted
-from dual_ur10.sim2real.processes.system import LOCAL, System
+from ur_core.processes.interrupts import begin_program, end_interrupted
+from ur_core.processes.system import LOCAL, System
 
 if TYPE_CHECKING:
     from ur_emulator.emulator import Emulator

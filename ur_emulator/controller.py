@@ -11,13 +11,13 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from dual_ur10.errors import OperationRefusedError, ScriptError
-from dual_ur10.kinematics.forward import elbow_and_flange_position, flange_pose
-from dual_ur10.kinematics.rotations import cross
-from dual_ur10.kinematics.ur10 import DHParameters
-from dual_ur10.sim2real.processes.system import LOCAL, System
-from dual_ur10.sim2real.protocol import primary_messages as messages
-from dual_ur10.sim2real.protocol.modes import JointMode, RobotBits, RobotMode, RuntimeState, SafetyMode
-from dual_ur10.types import Array
+from ur_core.kinematics.forward import elbow_and_flange_position, flange_pose
+from ur_core.kinematics.rotations import cross
+from ur_core.kinematics.ur10 import DHParameters
+from ur_core.processes.system import LOCAL, System
+from ur_core.protocol import primary_messages as messages
+from ur_core.protocol.modes import JointMode, RobotBits, RobotMode, RuntimeState, SafetyMode
+from ur_core.types import Array
 from ur_emulator.inputs_outputs import InputsOutputs
 from ur_emulator.motion import JointTorques, Motion
 from ur_emulator.motion.tool_kinematics import Tool

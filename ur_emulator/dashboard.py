@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from dual_ur10.errors import OperationRefusedError, UnknownNameError
-from dual_ur10.sim2real.protocol.modes import RobotMode, RuntimeState, SafetyMode
+from ur_core.protocol.modes import RobotMode, RuntimeState, SafetyMode
 from ur_emulator.pendant import Pendant
 from ur_emulator.profile import ControllerProfile
 

@@ -14,8 +14,8 @@ from typing import IO, Any, Final
 
 from dual_ur10 import errors
 from dual_ur10.errors import DualUR10Error, EmulatorError, MissingExtraError, SettingsError
-from dual_ur10.sim2real.links.json_link import JsonLink
-from dual_ur10.sim2real.processes.system import LOCAL
+from dual_ur10.sim2real.peripherals.json_link import JsonLink
+from ur_core.processes.system import LOCAL
 from ur_emulator.cell_requests import CellRequests
 
 MODULE: Final = "ur_emulator.emulator"
@@ -144,7 +144,7 @@ class EmulatedController(EmulatorProcess):
             controller.ask("stop", mode=3)
 
     Args:
-        robot: Model of the arm, a name in `dual_ur10.kinematics.robots.ROBOTS`.
+        robot: Model of the arm, a name in `ur_core.kinematics.robots.ROBOTS`.
         host: Loopback address; None finds a free one.
         log: Log file; None keeps the log until the controller is closed.
         options: Others of `ur_emulator.emulator.EmulatorOptions`, such as `plant`, `seed`, `polyscope` and `programs`.

@@ -21,17 +21,17 @@ import numpy as np
 
 from dual_ur10.assets.settings import default_mount
 from dual_ur10.errors import AddressError, DualUR10Error, SettingsError
-from dual_ur10.files import check_target, write_text
 from dual_ur10.ids import env_id_of
-from dual_ur10.kinematics.robots import robot_model
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.config.cell_file_tables import Gripper, NoGripper
 from dual_ur10.sim2real.config.cell_file_text import toml_text
-from dual_ur10.sim2real.control.servoj import ServojProfile
-from dual_ur10.sim2real.processes.system import LOCAL, System
-from dual_ur10.sim2real.protocol.modes import RobotMode, SafetyMode
 from dual_ur10.sim2real.runtime.latch import clear_ended
+from ur_core.files import check_target, write_text
+from ur_core.kinematics.robots import robot_model
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.processes.system import LOCAL, System
+from ur_core.protocol.modes import RobotMode, SafetyMode
+from ur_core.servoj import ServojProfile
 from ur_emulator.addresses import checked_address, free_address
 from ur_emulator.arm_server import ArmServer, LinePeer
 from ur_emulator.builtins import builtins_of
@@ -44,7 +44,7 @@ from ur_emulator.sockets import Hub
 from ur_emulator.world import PlantOptions, SimulatedWorld
 
 if TYPE_CHECKING:
-    from dual_ur10.envs.rendering.viewer import Viewer
+    from ur_core.viewing.viewer import Viewer
 
 log = logging.getLogger(__name__)
 
@@ -188,7 +188,7 @@ class Emulator:
                 self.servers.append(ArmServer(self._hub, controller, hosts[arm], gripper, self._off, programs))
             self._port = self._hub.add("fault injection", (hosts[0], 0), lambda: LinePeer(self._injection.answer))
             if options.view:
-                from dual_ur10.envs.rendering.viewer import Viewer
+                from ur_core.viewing.viewer import Viewer
 
                 self._viewer = Viewer(web=True)
                 self._viewer.show(*self.world.draw())

@@ -23,7 +23,7 @@ from annotated_types import Ge, Le
 from pydantic import BaseModel, ConfigDict, Field, InstanceOf, ValidationError, create_model
 
 from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError
-from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply
+from ur_core.kinematics.rotations import quat_from_rotvec, quat_multiply
 from ur_emulator.arm_server import ArmServer, RtdePeer
 from ur_emulator.link_faults import MAX_LATE_S, LinkFaults
 from ur_emulator.world import SimulatedWorld

@@ -7,10 +7,10 @@ from typing import Protocol
 
 from pydantic import TypeAdapter, ValidationError
 
-from dual_ur10.assets.tool import Tool, tool_named
 from dual_ur10.errors import SettingsError
-from dual_ur10.ids import load_object
 from dual_ur10.sim2real.config.cell_file_tables import DigitalGripper, Gripper, NoGripper, OwnGripper
+from ur_core.objects import load_object
+from ur_core.tools.tool import Tool, tool_named
 from ur_emulator.robotiq import LAG_S, LATENCY_S, RobotiqGripper, approached
 
 

@@ -9,15 +9,15 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 
-from dual_ur10.assets.gains import STIFF, gains_of
 from dual_ur10.assets.scene import compose
 from dual_ur10.assets.settings import SceneSettings, default_mount, home_q_rad
-from dual_ur10.assets.tool import Tool
-from dual_ur10.assets.torque_control import TorqueControl, Torques
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.ur10 import ARMS, LINKS, TICK_S
-from dual_ur10.types import Array
+from ur_core.kinematics.frames import ArmMount
+from ur_core.kinematics.ur10 import ARMS, LINKS, TICK_S
+from ur_core.mjcf.gains import STIFF, gains_of
+from ur_core.mjcf.torque_control import TorqueControl, Torques
+from ur_core.tools.tool import Tool
+from ur_core.types import Array
 from ur_emulator.controller import ArmReading
 from ur_emulator.motion import JointTorques
 from ur_emulator.world import Delay, Hand, PlantOptions
@@ -73,7 +73,7 @@ class LoneArm:
     Its servos follow the reference motion by the inverse dynamics of the nominal arm: with a nominal plant exactly.
 
     Args:
-        robot: Model of the arm, a name in `dual_ur10.kinematics.robots.ROBOTS`.
+        robot: Model of the arm, a name in `ur_core.kinematics.robots.ROBOTS`.
         options: Deviation of the plant from the nominal model.
 
     Raises:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Final
 
 from dual_ur10.errors import OperationRefusedError, ScriptError, UnknownNameError
-from dual_ur10.sim2real.protocol.modes import RobotMode, RuntimeState
+from ur_core.protocol.modes import RobotMode, RuntimeState
 from ur_emulator.controller import Controller
 from ur_emulator.program_files import ProgramFiles
 from ur_emulator.script import Program, parse

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.kinematics.robots import robot_model
-from dual_ur10.kinematics.ur10 import TICK_S
-from dual_ur10.sim2real.protocol.primary_messages import ControllerIdentity
+from ur_core.kinematics.robots import robot_model
+from ur_core.kinematics.ur10 import TICK_S
+from ur_core.protocol.primary_messages import ControllerIdentity
 
 
 @dataclass(frozen=True, kw_only=True)

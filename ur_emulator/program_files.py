@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from dual_ur10.errors import ScriptError, SettingsError
-from dual_ur10.files import read_regular
+from ur_core.files import read_regular
 from ur_emulator.script import Builtins, Program, read
 from ur_emulator.script.splitter import PROGRAM_MAX
 

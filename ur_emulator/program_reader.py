@@ -6,7 +6,7 @@ from concurrent.futures import Future
 from typing import Final
 
 from dual_ur10.errors import LinkError, ScriptError, ScriptSyntaxError
-from dual_ur10.sim2real.processes.system import System
+from ur_core.processes.system import System
 from ur_emulator.script import Builtins, Program, read
 from ur_emulator.script.compiled import compiled, interfaces
 

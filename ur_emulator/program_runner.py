@@ -6,8 +6,8 @@ import logging
 from collections.abc import Callable
 
 from dual_ur10.errors import OperationRefusedError, ScriptError, ScriptRuntimeError
-from dual_ur10.sim2real.protocol.modes import RuntimeState
-from dual_ur10.sim2real.protocol.primary_messages import PROGRAM_STARTED, PROGRAM_STOPPED
+from ur_core.protocol.modes import RuntimeState
+from ur_core.protocol.primary_messages import PROGRAM_STARTED, PROGRAM_STOPPED
 from ur_emulator.motion import Motion
 from ur_emulator.profile import ControllerProfile
 from ur_emulator.safety import Demand

@@ -12,8 +12,8 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85
-from dual_ur10.assets.tool import Tool
+from ur_core.tools.robotiq_2f85 import ROBOTIQ_2F85
+from ur_core.tools.tool import Tool
 from ur_emulator.addresses import PORTS
 
 ACTIVATION_S: Final = 1.0

@@ -8,7 +8,7 @@ from itertools import chain, groupby
 from operator import itemgetter
 from typing import Any, NamedTuple
 
-from dual_ur10.sim2real.protocol.rtde import HEADER, DataType, Kind, Value
+from ur_core.protocol.rtde import HEADER, DataType, Kind, Value
 from ur_emulator.registers import Registers
 
 Reader = Callable[[Any], Iterable[Any]]

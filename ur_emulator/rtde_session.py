@@ -18,7 +18,7 @@ from typing import Any, Final
 from weakref import WeakValueDictionary
 
 from dual_ur10.errors import ClosedError, ProtocolError, SettingsError
-from dual_ur10.sim2real.protocol.rtde import (
+from ur_core.protocol.rtde import (
     DataType,
     FrameReader,
     Kind,

@@ -10,7 +10,7 @@ import re
 from functools import cache
 from typing import Final
 
-from dual_ur10.sim2real.protocol.rtde import TYPES, DataType, Value
+from ur_core.protocol.rtde import TYPES, DataType, Value
 from ur_emulator.profile import ControllerProfile
 from ur_emulator.registers import Registers
 

@@ -9,7 +9,7 @@ from enum import Enum
 from typing import Final
 
 from dual_ur10.errors import OperationRefusedError
-from dual_ur10.sim2real.protocol.modes import RobotMode, SafetyBits, SafetyMode
+from ur_core.protocol.modes import RobotMode, SafetyBits, SafetyMode
 from ur_emulator.profile import Assumptions
 
 UNLOCK_TOO_EARLY: Final = (

@@ -10,8 +10,8 @@ import logging
 from concurrent.futures import Executor, Future
 from typing import Final
 
-from dual_ur10.sim2real.processes.system import System
-from dual_ur10.sim2real.processes.transport import Transport
+from ur_core.processes.system import System
+from ur_core.processes.transport import Transport
 from ur_emulator.addresses import check_loopback
 
 log = logging.getLogger(__name__)

@@ -9,8 +9,8 @@ from operator import attrgetter
 from typing import Any, Final, Protocol
 
 from dual_ur10.errors import ProtocolError
-from dual_ur10.sim2real.processes.system import LOCAL, System
-from dual_ur10.sim2real.processes.transport import Listener, Transport
+from ur_core.processes.system import LOCAL, System
+from ur_core.processes.transport import Listener, Transport
 from ur_emulator.addresses import listening
 from ur_emulator.link_faults import DelayLine, LinkFaults
 

@@ -8,10 +8,10 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from dual_ur10.assets.tool import Tool
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.types import Array, constant
+from ur_core.kinematics.frames import ArmMount
+from ur_core.tools.tool import Tool
+from ur_core.types import Array, constant
 from ur_emulator.controller import ArmReading
 from ur_emulator.motion import JointTorques
 

@@ -9,9 +9,9 @@ from dual_ur10.assets.gripper import FINGER_JOINTS
 from dual_ur10.assets.obstacles import Box, Obstacle, Plane, geom_name
 from dual_ur10.assets.settings import TABLE_THICKNESS_M, SceneSettings
 from dual_ur10.errors import DualUR10Error
-from dual_ur10.kinematics.frames import FLOOR_Z_M, ArmMount
-from dual_ur10.kinematics.rotations import quat_from_rotvec
-from dual_ur10.kinematics.ur10 import ARMS, JOINTS
+from ur_core.kinematics.frames import FLOOR_Z_M, ArmMount
+from ur_core.kinematics.rotations import quat_from_rotvec
+from ur_core.kinematics.ur10 import ARMS, JOINTS
 
 if TYPE_CHECKING:
     import mujoco  # type: ignore[import-untyped, unused-ignore]  # has no types of its own

@@ -19,14 +19,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from dual_ur10.assets.arm import arm_spec, remove_visuals
 from dual_ur10.assets.cell_spec import add_obstacles, attach_arm, cell_spec, compiled, joint_names
 from dual_ur10.assets.gripper import add_rigid_gripper
 from dual_ur10.assets.obstacles import geom_name
 from dual_ur10.assets.prop import Capsule
 from dual_ur10.assets.settings import Equipment, SceneSettings
-from dual_ur10.kinematics.ur10 import ARMS, LINKS
-from dual_ur10.types import Array
+from ur_core.kinematics.ur10 import ARMS, LINKS
+from ur_core.mjcf.arm import arm_spec, remove_visuals
+from ur_core.types import Array
 
 if TYPE_CHECKING:
     import mujoco  # type: ignore[import-untyped, unused-ignore]  # has no types of its own

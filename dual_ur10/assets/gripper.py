@@ -12,9 +12,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from dual_ur10.assets.tool import Tool
 from dual_ur10.errors import SettingsError
-from dual_ur10.types import Array, Vector3
+from ur_core.tools.tool import Tool
+from ur_core.types import Array, Vector3
 
 FINGER_JOINTS: Final = ("finger_1_joint", "finger_2_joint")
 """Slide joints of one gripper, 0 when closed to half its stroke in m; finger 1 is the one at +y."""

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
 from dual_ur10.errors import SettingsError
-from dual_ur10.kinematics.frames import finite_floats
-from dual_ur10.types import Vector3
+from ur_core.kinematics.frames import finite_floats
+from ur_core.types import Vector3
 
 ROOM_M: Final = 20.0
 """Farthest that a coordinate of an obstacle may be from the cell's origin, and the longest edge of a box."""

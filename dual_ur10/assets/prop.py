@@ -11,8 +11,8 @@ from typing import Any, Final
 
 from dual_ur10.assets.dm_mjcf import is_dm_mjcf, text_of
 from dual_ur10.errors import SettingsError
-from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.types import Vector3
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.types import Vector3
 
 _SECTIONS: Final = ("compiler", "asset", "default", "worldbody", "contact", "equality")
 _RESERVED: Final = (*ARMS, "cell", "floor", "table", "obstacle")

@@ -9,9 +9,9 @@ import numpy as np
 
 from dual_ur10.assets.prop import Prop
 from dual_ur10.errors import UnknownNameError
-from dual_ur10.kinematics.poses import Poses, compose
-from dual_ur10.kinematics.rotations import quat_from_rotvec, rotate
-from dual_ur10.types import Array
+from ur_core.kinematics.poses import Poses, compose
+from ur_core.kinematics.rotations import quat_from_rotvec, rotate
+from ur_core.types import Array
 
 
 class _Joint(NamedTuple):

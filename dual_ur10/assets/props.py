@@ -7,8 +7,8 @@ from typing import Final
 
 from dual_ur10.assets.gripper import box_inertia
 from dual_ur10.assets.prop import Capsule, Prop
-from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.types import Vector3
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.types import Vector3
 
 BAR_LENGTH_M: Final = 1.2
 """Along the bar's own y."""

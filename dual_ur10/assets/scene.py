@@ -14,13 +14,13 @@ import copy
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
-from dual_ur10.assets.arm import arm_spec, remove_visuals
 from dual_ur10.assets.cell_spec import actuator_names, add_obstacles, attach_arm, cell_spec, compiled, joint_names
 from dual_ur10.assets.gripper import add_gripper, attach_own
 from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.assets.visuals import add_surroundings, draw_gripper, use_meshes
 from dual_ur10.errors import DualUR10Error, SettingsError
-from dual_ur10.kinematics.ur10 import ARMS
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.mjcf.arm import arm_spec, remove_visuals
 
 if TYPE_CHECKING:
     import mujoco  # type: ignore[import-untyped, unused-ignore]  # has no types of its own

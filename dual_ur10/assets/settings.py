@@ -10,17 +10,17 @@ from typing import Final
 
 import numpy as np
 
-from dual_ur10.assets.gains import STIFF, Gains, check_gains, check_integrator
 from dual_ur10.assets.obstacles import Obstacle, checked
 from dual_ur10.assets.prop import Camera, Prop, check_props
-from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85
-from dual_ur10.assets.tool import Tool, tools_of
 from dual_ur10.errors import SettingsError
-from dual_ur10.kinematics.frames import MAX_MOUNT_M, ArmMount, finite_floats
-from dual_ur10.kinematics.inverse import try_nearest
-from dual_ur10.kinematics.robots import ROBOTS, robot_model
-from dual_ur10.kinematics.ur10 import ARMS, nominal_dh
-from dual_ur10.types import Array, constant
+from ur_core.kinematics.frames import MAX_MOUNT_M, ArmMount, finite_floats
+from ur_core.kinematics.inverse import try_nearest
+from ur_core.kinematics.robots import ROBOTS, robot_model
+from ur_core.kinematics.ur10 import ARMS, nominal_dh
+from ur_core.mjcf.gains import STIFF, Gains, check_gains, check_integrator
+from ur_core.tools.robotiq_2f85 import ROBOTIQ_2F85
+from ur_core.tools.tool import Tool, tools_of
+from ur_core.types import Array, constant
 
 TABLE_THICKNESS_M: Final = 0.06
 BASE_RADIUS_M: Final = 0.15
@@ -149,7 +149,7 @@ class SceneSettings:
         left: Mount of the left arm.
         right: Mount of the right arm.
         timestep_s: Physics timestep.
-        integrator: One of [INTEGRATORS][dual_ur10.assets.gains.INTEGRATORS].
+        integrator: One of [INTEGRATORS][ur_core.mjcf.gains.INTEGRATORS].
         gains: Gains of the joint servos.
         meshes: Render the meshes of the optional package `example-robot-data` in place of primitives. Visual only.
         table_center_m: (2,) x, y of the table's centre; its top is at z = 0.
@@ -203,7 +203,7 @@ class SceneSettings:
 
     @property
     def mounts(self) -> tuple[ArmMount, ArmMount]:
-        """Both mounts in the order of [ARMS][dual_ur10.kinematics.ur10.ARMS]."""
+        """Both mounts in the order of [ARMS][ur_core.kinematics.ur10.ARMS]."""
         return self.left, self.right
 
     def _check_mounts(self) -> None:

@@ -12,15 +12,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from dual_ur10.assets.pen import Pen
 from dual_ur10.assets.prop import Camera
 from dual_ur10.assets.settings import TABLE_THICKNESS_M, SceneSettings
-from dual_ur10.assets.tool import Tool
 from dual_ur10.errors import MissingExtraError
-from dual_ur10.ids import load_object
-from dual_ur10.kinematics.frames import FLOOR_Z_M
-from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.types import Vector3
+from ur_core.kinematics.frames import FLOOR_Z_M
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.objects import load_object
+from ur_core.tools.pen import Pen
+from ur_core.tools.tool import Tool
+from ur_core.types import Vector3
 
 FIXED_CAMERAS: Final = (
     Camera("front", (1.8, 0.0, 1.0), (-0.4, 0.0, 0.3)),

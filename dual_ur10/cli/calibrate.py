@@ -14,9 +14,9 @@ from rich.table import Table
 
 from dual_ur10.cli.options import check_extras, console
 from dual_ur10.errors import CalibrationError, SettingsError, UnknownNameError
-from dual_ur10.files import check_target
-from dual_ur10.kinematics.ur10 import ARMS, DHParameters
-from dual_ur10.sim2real.processes.system import LOCAL
+from ur_core.files import check_target
+from ur_core.kinematics.ur10 import ARMS, DHParameters
+from ur_core.processes.system import LOCAL
 
 if TYPE_CHECKING:
     from dual_ur10.sim2real.calibration.estimate import BaseEstimate
@@ -134,7 +134,7 @@ def _kinematics(cell: CellFile, given: Sequence[str]) -> dict[str, Calibration]:
     """
     from dual_ur10.sim2real.analysis.cell_update import calibration_of
     from dual_ur10.sim2real.calibration import ur_calibration
-    from dual_ur10.sim2real.links.primary_link import read_primary
+    from ur_core.links.primary_link import read_primary
 
     tables: dict[str, Calibration] = {}
     for text in given:

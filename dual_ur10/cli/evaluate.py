@@ -38,9 +38,9 @@ from dual_ur10.cli.options import (
     randomize,
 )
 from dual_ur10.errors import SettingsError
-from dual_ur10.files import check_target
 from dual_ur10.ids import env_id_of
-from dual_ur10.sim2real.processes.interrupts import INTERRUPTED
+from ur_core.files import check_target
+from ur_core.processes.interrupts import INTERRUPTED
 
 if TYPE_CHECKING:
     from dual_ur10.policies.evaluation.results import Evaluation

@@ -26,13 +26,13 @@ from dual_ur10.cli.options import (
     power_on,
 )
 from dual_ur10.errors import SettingsError, TrajectoryError
-from dual_ur10.files import check_target
-from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 from dual_ur10.sim2real.config.cell_file import load_cell_file
-from dual_ur10.sim2real.processes.interrupts import INTERRUPTED
-from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.trajectory.goal import GoalState
-from dual_ur10.types import Array, Closing
+from ur_core.files import check_target
+from ur_core.kinematics.ur10 import ARMS, JOINTS
+from ur_core.processes.interrupts import INTERRUPTED
+from ur_core.processes.system import LOCAL, System
+from ur_core.types import Array, Closing
 
 if TYPE_CHECKING:
     from dual_ur10.sim2real.config.cell_file import CellFile
@@ -396,7 +396,7 @@ def follow_serial(
 
     Nothing measures these arms, and no safety gate knows them. Ctrl-C slows them down along the path.
     """
-    from dual_ur10.sim2real.peripherals.open_loop_arm import execute, scaled
+    from dual_ur10.sim2real.serial_arm.open_loop_arm import execute, scaled
     from dual_ur10.sim2real.trajectory.files import read_trajectory
 
     trajectory = scaled(read_trajectory(file, allow_partial=partial), scaling)

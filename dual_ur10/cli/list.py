@@ -9,13 +9,14 @@ import gymnasium as gym
 from rich.markup import escape
 from rich.table import Table
 
-from dual_ur10.assets.tool import Tool, tool_named, tool_names
 from dual_ur10.cli.options import console, print_whole
 from dual_ur10.errors import DualUR10Error
-from dual_ur10.ids import FAILED_ENTRY_POINTS, LEARNED_NAMES, TASKS, discover, load_object
-from dual_ur10.kinematics.robots import ROBOTS
+from dual_ur10.ids import FAILED_ENTRY_POINTS, LEARNED_NAMES, TASKS, discover
 from dual_ur10.policies.baselines import BASELINES
 from dual_ur10.policies.registry import names_for
+from ur_core.kinematics.robots import ROBOTS
+from ur_core.objects import load_object
+from ur_core.tools.tool import Tool, tool_named, tool_names
 
 
 def list_environments() -> None:

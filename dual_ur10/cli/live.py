@@ -36,7 +36,7 @@ from dual_ur10.errors import SettingsError
 from dual_ur10.ids import env_id_of
 from dual_ur10.policies.baselines import BASELINES
 from dual_ur10.policies.registry import check_name, keywords_for, names_for, wrong_types_named
-from dual_ur10.sim2real.processes.interrupts import INTERRUPTED
+from ur_core.processes.interrupts import INTERRUPTED
 
 if TYPE_CHECKING:
     from dual_ur10.envs.core.setup import EnvSetup
@@ -153,9 +153,9 @@ def _tell(page: LivePage, *, browser: bool) -> None:
 def _watch(setup: EnvSetup, page: LivePage, seconds: float | None, *, browser: bool) -> None:
     from dual_ur10.cli.live_session import WatchSession
     from dual_ur10.cli.status_view import StatusView
-    from dual_ur10.kinematics.ur10 import ARMS
     from dual_ur10.sim2real.config.cell_file import CellFile
-    from dual_ur10.sim2real.processes.system import LOCAL
+    from ur_core.kinematics.ur10 import ARMS
+    from ur_core.processes.system import LOCAL
 
     file = setup.config.file
     if not isinstance(file, CellFile):
@@ -242,7 +242,7 @@ def _open(url: str) -> None:
     """Open a page in a browser with a window, if there is one: one in the terminal would hide what is printed there."""
     import webbrowser
 
-    from dual_ur10.envs.rendering.viewer import has_display
+    from ur_core.viewing.viewer import has_display
 
     with contextlib.suppress(webbrowser.Error):
         if has_display() and type(browser := webbrowser.get()) is not webbrowser.GenericBrowser:

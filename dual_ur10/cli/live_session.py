@@ -19,9 +19,9 @@ from dual_ur10.errors import CellFaulted, DualUR10Error, RenderError, SettingsEr
 from dual_ur10.policies.evaluation.rollout import act
 from dual_ur10.policies.operators.page import PageDevice
 from dual_ur10.policies.operators.takeover import Takeover
-from dual_ur10.sim2real.links.arm_status import mode_name, stop_reason
-from dual_ur10.sim2real.protocol.modes import RobotMode, SafetyMode
-from dual_ur10.types import Array
+from ur_core.links.arm_status import mode_name, stop_reason
+from ur_core.protocol.modes import RobotMode, SafetyMode
+from ur_core.types import Array
 
 if TYPE_CHECKING:
     from dual_ur10.cli.status_view import StatusView

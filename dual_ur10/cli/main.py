@@ -16,7 +16,7 @@ from rich.markup import escape
 from dual_ur10.cli.options import at_end, console, errors, example_of
 from dual_ur10.errors import DualUR10Error
 from dual_ur10.ids import __version__
-from dual_ur10.sim2real.processes.interrupts import begin_program, end_interrupted
+from ur_core.processes.interrupts import begin_program, end_interrupted
 
 USAGE_ERROR = 2
 """Exit code of every error of this package, and of a policy's exception that made a latched stop."""

@@ -22,10 +22,10 @@ from rich.table import Table
 from dual_ur10 import policies
 from dual_ur10.errors import MissingExtraError, SettingsError, UnknownNameError, nearest_name
 from dual_ur10.ids import env_id_of
-from dual_ur10.kinematics.robots import robot_model
 from dual_ur10.policies.registry import check_name, keywords_for, wrong_types_named
 from dual_ur10.sim2real.config.cell_kinds import CELL_KINDS
-from dual_ur10.sim2real.processes.machine_load import too_busy
+from ur_core.kinematics.robots import robot_model
+from ur_core.processes.machine_load import too_busy
 
 if TYPE_CHECKING:
     from dual_ur10.policies.operators.operator import Operator

@@ -30,8 +30,8 @@ from dual_ur10.cli.options import (
     progress_of,
     record_in,
 )
-from dual_ur10.files import check_target
-from dual_ur10.sim2real.processes.interrupts import INTERRUPTED
+from ur_core.files import check_target
+from ur_core.processes.interrupts import INTERRUPTED
 
 DIFFERENT = 1
 """Exit code when a replay differs from the recording."""

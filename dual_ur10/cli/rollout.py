@@ -43,7 +43,7 @@ from dual_ur10.cli.options import (
 )
 from dual_ur10.ids import env_id_of
 from dual_ur10.policies.registry import provenance
-from dual_ur10.sim2real.processes.interrupts import INTERRUPTED
+from ur_core.processes.interrupts import INTERRUPTED
 
 if TYPE_CHECKING:
     from dual_ur10.policies.evaluation.rollout import Record as EpisodeRecord

@@ -14,9 +14,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from dual_ur10.cli.options import console
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell_file import load_cell_file
-from dual_ur10.sim2real.processes.system import LOCAL
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.processes.system import LOCAL
 
 _REFRESH_HZ: Final = 5.0
 _FIRST_S: Final = 5.0
@@ -106,30 +106,30 @@ def _joints(arms: Sequence[Any]) -> Table:
 
 
 def _mode(arm: Any) -> str:
-    from dual_ur10.sim2real.links.arm_status import mode_name
-    from dual_ur10.sim2real.protocol.modes import RobotMode
+    from ur_core.links.arm_status import mode_name
+    from ur_core.protocol.modes import RobotMode
 
     mode = arm.status.robot_mode
     return _coloured(mode_name(RobotMode, mode), mode == RobotMode.RUNNING)
 
 
 def _safety(arm: Any) -> str:
-    from dual_ur10.sim2real.links.arm_status import mode_name
-    from dual_ur10.sim2real.protocol.modes import SafetyMode
+    from ur_core.links.arm_status import mode_name
+    from ur_core.protocol.modes import SafetyMode
 
     mode = arm.status.safety_mode
     return _coloured(mode_name(SafetyMode, mode), mode == SafetyMode.NORMAL)
 
 
 def _may_move(arm: Any) -> str:
-    from dual_ur10.sim2real.links.arm_status import stop_reason
+    from ur_core.links.arm_status import stop_reason
 
     reason = stop_reason(arm.status, playing=False)
     return _coloured(reason or "yes", reason is None)
 
 
 def _power(arm: Any) -> str:
-    from dual_ur10.sim2real.protocol.modes import RobotBits
+    from ur_core.protocol.modes import RobotBits
 
     known = arm.status
     on = bool(known.robot_bits & RobotBits.POWER_ON)
@@ -138,8 +138,8 @@ def _power(arm: Any) -> str:
 
 
 def _runs(arm: Any) -> str:
-    from dual_ur10.sim2real.links.arm_status import mode_name
-    from dual_ur10.sim2real.protocol.modes import RuntimeState
+    from ur_core.links.arm_status import mode_name
+    from ur_core.protocol.modes import RuntimeState
 
     return escape(mode_name(RuntimeState, arm.status.runtime_state))
 

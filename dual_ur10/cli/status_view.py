@@ -7,15 +7,15 @@ import logging
 from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
-from dual_ur10.assets.tool import tool_named
 from dual_ur10.errors import DualUR10Error
 from dual_ur10.sim2real.config.cell_file_tables import ArmEntry, RobotiqSocket
-from dual_ur10.sim2real.links.arm_status import OPTIONAL_VARIABLES, STATUS_VARIABLES, ArmStatus
-from dual_ur10.sim2real.links.dashboard_link import DashboardLink
-from dual_ur10.sim2real.links.rtde_link import RtdeLink
 from dual_ur10.sim2real.peripherals.gripper_link import GripperReading, RobotiqLink
-from dual_ur10.sim2real.processes.system import LOCAL, Event, System
-from dual_ur10.types import Closing
+from ur_core.links.arm_status import OPTIONAL_VARIABLES, STATUS_VARIABLES, ArmStatus
+from ur_core.links.dashboard_link import DashboardLink
+from ur_core.links.rtde_link import RtdeLink
+from ur_core.processes.system import LOCAL, Event, System
+from ur_core.tools.tool import tool_named
+from ur_core.types import Closing
 
 log = logging.getLogger(__name__)
 

@@ -13,9 +13,9 @@ from rich.markup import escape
 
 from dual_ur10.cli.options import PowerOn, console, interrupts_noted, power_on
 from dual_ur10.errors import UnknownNameError
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell_file import load_cell_file
-from dual_ur10.sim2real.processes.system import LOCAL, System
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.processes.system import LOCAL, System
 
 if TYPE_CHECKING:
     from dual_ur10.sim2real.config.cell_file import CellFile

@@ -40,7 +40,7 @@ from dual_ur10.cli.options import (
 )
 from dual_ur10.errors import CheckpointError, SettingsError, UnknownNameError
 from dual_ur10.ids import env_id_of
-from dual_ur10.sim2real.processes.interrupts import INTERRUPTED
+from ur_core.processes.interrupts import INTERRUPTED
 
 if TYPE_CHECKING:
     from rich.progress import Progress

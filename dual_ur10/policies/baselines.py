@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from dual_ur10.types import Rows
+from ur_core.types import Rows
 
 
 class RandomPolicy:

@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium.vector.utils import iterate
 
 from dual_ur10.errors import PolicyError
-from dual_ur10.types import Array, Mask, Rows
+from ur_core.types import Array, Mask, Rows
 
 
 @runtime_checkable

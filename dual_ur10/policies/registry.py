@@ -20,11 +20,12 @@ from typing import TYPE_CHECKING, Any, Final
 import gymnasium as gym
 
 from dual_ur10.errors import DualUR10Error, PolicyError, SettingsError, UnknownNameError
-from dual_ur10.ids import LEARNED_NAMES, TASKS, env_id_of, load_object
+from dual_ur10.ids import LEARNED_NAMES, TASKS, env_id_of
 from dual_ur10.policies.baselines import BASELINES, RandomPolicy, ZeroPolicy
 from dual_ur10.policies.policy import Policy, as_policy, policy_name
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.config.cell_kinds import CELL_KINDS
+from ur_core.objects import load_object
 
 if TYPE_CHECKING:
     from dual_ur10.envs.core.setup import EnvSetup

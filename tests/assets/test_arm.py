@@ -7,13 +7,23 @@ import numpy as np
 import pytest
 
 from dual_ur10.assets import cell_spec
-from dual_ur10.assets.gains import COMPLIANT, MOST_UNSTABLE, STIFF, stability_number
 from dual_ur10.assets.scene import build_model, sensor_slices
 from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
 from dual_ur10.assets.visuals import CAMERAS
 from dual_ur10.errors import DualUR10Error
-from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.ur10 import (
+from tests.assets.test_arm_shape import OWN
+from tests.sim2real.control.reference_cell import (
+    CALIBRATED,
+    SHIFTED,
+    UNEQUAL,
+    angle,
+    dh_product,
+    planar,
+    random_q,
+    site_pose,
+)
+from ur_core.kinematics.frames import ArmMount
+from ur_core.kinematics.ur10 import (
     ARMS,
     DH_A_M,
     DH_ALPHA_RAD,
@@ -27,17 +37,7 @@ from dual_ur10.kinematics.ur10 import (
     LINKS,
     NOMINAL_DH,
 )
-from tests.assets.test_arm_shape import OWN
-from tests.sim2real.control.reference_cell import (
-    CALIBRATED,
-    SHIFTED,
-    UNEQUAL,
-    angle,
-    dh_product,
-    planar,
-    random_q,
-    site_pose,
-)
+from ur_core.mjcf.gains import COMPLIANT, MOST_UNSTABLE, STIFF, stability_number
 
 
 @pytest.fixture(scope="module")

@@ -8,10 +8,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from dual_ur10 import kinematics
-from dual_ur10.assets.arm import arm_spec
-from dual_ur10.assets.arm_shape import fit_bodies, fit_shape
-from dual_ur10.assets.gains import COMPLIANT, STIFF, Gains, gains_of, stability_number
 from dual_ur10.assets.scene import build_model, sensor_slices
 from dual_ur10.assets.settings import (
     HOME_Q_RAD,
@@ -20,11 +16,15 @@ from dual_ur10.assets.settings import (
     home_q_rad,
 )
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.robots import ROBOTS
-from dual_ur10.kinematics.ur10 import ARMS, LINKS, NOMINAL_DH, DHParameters, nominal_dh
 from dual_ur10.sim2real.control.clearance import Clearance
 from tests.kinematics.reference_arm import calibration, random_q
+from ur_core import kinematics
+from ur_core.kinematics.frames import ArmMount
+from ur_core.kinematics.robots import ROBOTS
+from ur_core.kinematics.ur10 import ARMS, LINKS, NOMINAL_DH, DHParameters, nominal_dh
+from ur_core.mjcf.arm import arm_spec
+from ur_core.mjcf.arm_shape import fit_bodies, fit_shape
+from ur_core.mjcf.gains import COMPLIANT, STIFF, Gains, gains_of, stability_number
 
 OWN = Gains((9000.0, 15000.0, 7000.0, 3000.0, 2500.0, 2000.0), (600.0, 700.0, 300.0, 50.0, 40.0, 30.0))
 

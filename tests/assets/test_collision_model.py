@@ -10,9 +10,9 @@ from mujoco import batch
 from dual_ur10.assets.collision_model import CLEARANCE_CUTOFF_M, build_collision_model, clearance_pairs
 from dual_ur10.assets.scene import build_model
 from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
-from dual_ur10.kinematics.frames import FLOOR_Z_M, ArmMount
-from dual_ur10.kinematics.ur10 import ARMS, LINKS
 from tests.sim2real.control.reference_cell import UNEQUAL, contacts, point_to_capsule, random_q, segment
+from ur_core.kinematics.frames import FLOOR_Z_M, ArmMount
+from ur_core.kinematics.ur10 import ARMS, LINKS
 
 CROSSING = (-0.9, 0.9)
 

@@ -8,12 +8,12 @@ import pytest
 
 from dual_ur10.assets.cell_spec import actuator_names, joint_names
 from dual_ur10.assets.props import BLOCK
-from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 from dual_ur10.assets.scene import build_model, sensor_slices
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.assets.visuals import CAMERAS, cameras
-from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 from tests.sim2real.control.reference_cell import UNEQUAL, angle, random_q, site_pose
+from ur_core.kinematics.ur10 import ARMS, JOINTS
+from ur_core.tools.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 
 GRIPPERS = SceneSettings(equipment=Equipment(grippers=True))
 OPENING = 0.05

@@ -17,21 +17,21 @@ from dual_ur10.assets.collision_model import (
     clearance_pairs,
     compose_collision_model,
 )
-from dual_ur10.assets.gains import COMPLIANT
 from dual_ur10.assets.obstacles import Box, Capsule, Obstacle, Plane, geom_name
 from dual_ur10.assets.props import BLOCK, BLOCK_SIZE_M
 from dual_ur10.assets.scene import build_model, compose
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.errors import CollisionAtStartError, SettingsError
-from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.ur10 import ARMS, LINKS, NOMINAL_DH
 from dual_ur10.sim2real.control.adapter import ServojAdapter
 from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate
-from dual_ur10.sim2real.control.servoj import ServojProfile
 from tests.sim2real.control.motion_checks import HARD
 from tests.sim2real.control.reference_cell import UNEQUAL, contacts, random_q
 from tests.soak import scaled
+from ur_core.kinematics.frames import ArmMount
+from ur_core.kinematics.ur10 import ARMS, LINKS, NOMINAL_DH
+from ur_core.mjcf.gains import COMPLIANT
+from ur_core.servoj import ServojProfile
 
 BOX = Box(name="box", position_m=(-0.1, 0.4, 0.6), size_m=(0.3, 0.5, 0.2), rotation_rad=(0.4, -0.3, 0.8))
 PLATE = Box(name="plate", position_m=(-0.4, -0.3, 0.5), size_m=(1.5, 0.01, 1.5), rotation_rad=(0.1, 0.0, 0.2))

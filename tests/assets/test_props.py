@@ -6,9 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from dual_ur10 import kinematics
 from dual_ur10.assets import props
-from dual_ur10.assets.gains import COMPLIANT
 from dual_ur10.assets.props import (
     BAR,
     BAR_LENGTH_M,
@@ -21,12 +19,14 @@ from dual_ur10.assets.props import (
     GRIP_DISTANCE_M,
     TARGET,
 )
-from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 from dual_ur10.assets.scene import build_model, sensor_slices
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
-from dual_ur10.kinematics.rotations import quat_to_matrix
-from dual_ur10.kinematics.ur10 import ARMS, NOMINAL_DH
 from tests.sim2real.control.reference_cell import angle, site_pose
+from ur_core import kinematics
+from ur_core.kinematics.rotations import quat_to_matrix
+from ur_core.kinematics.ur10 import ARMS, NOMINAL_DH
+from ur_core.mjcf.gains import COMPLIANT
+from ur_core.tools.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 
 SIZES = {BAR: (BAR_WIDTH_M, BAR_LENGTH_M, BAR_WIDTH_M), BLOCK: BLOCK_SIZE_M}
 STEPS = np.linspace(0.0, 0.1, 51)  # m, heights of a lift

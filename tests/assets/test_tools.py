@@ -12,18 +12,18 @@ import pytest
 
 import dual_ur10  # noqa: F401 - registers the environments
 from dual_ur10.assets.collision_model import build_collision_model
-from dual_ur10.assets.generic_140 import GENERIC_140
-from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85
 from dual_ur10.assets.scene import build_model
 from dual_ur10.assets.settings import DEFAULT_TOOLS, HOME_Q_RAD, Equipment, SceneSettings
-from dual_ur10.assets.tool import Tool, tool_named
 from dual_ur10.envs.core.options import MOVE_TO_START
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies import load
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.recording.header import built as built_of
 from dual_ur10.sim2real.recording.header import plain
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.tools.generic_140 import GENERIC_140
+from ur_core.tools.robotiq_2f85 import ROBOTIQ_2F85
+from ur_core.tools.tool import Tool, tool_named
 
 MIXED = GENERIC_140, ROBOTIQ_2F85
 

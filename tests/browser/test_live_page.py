@@ -14,11 +14,11 @@ import pytest
 
 from dual_ur10.envs.rendering.live.overlay import Overlay
 from dual_ur10.errors import CellFaulted
-from dual_ur10.kinematics.rotations import quat_to_matrix
 from dual_ur10.sim2real.runtime.arm_memory import Phase
 from dual_ur10.testing import VirtualCell
 from tests.browser.live import Live, on_screen
 from tests.waiting import until
+from ur_core.kinematics.rotations import quat_to_matrix
 
 CHROMIUM = os.environ.get("CHROMIUM")
 if CHROMIUM is None:

@@ -8,14 +8,14 @@ import pytest
 
 from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.cli import follow
-from dual_ur10.kinematics.ur10 import JOINTS
+from dual_ur10.sim2real.serial_arm.firmware import SerialFirmware
 from dual_ur10.sim2real.trajectory.files import write_trajectory
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
 from tests.busy_machine import BusyMachine
 from tests.cli.command import run
 from tests.sim2real.serial_rig import serial_port, trajectory
 from tests.sim2real.trajectory.following import wave
-from ur_emulator.serial_firmware import SerialFirmware
+from ur_core.kinematics.ur10 import JOINTS
 
 
 @pytest.fixture

@@ -25,10 +25,10 @@ from dual_ur10.policies.operators import page as page_module
 from dual_ur10.policies.operators.catalog import operator_with
 from dual_ur10.policies.registry import keywords_for
 from dual_ur10.policies.training.demonstrations import Demonstration
-from dual_ur10.sim2real.processes.system import LOCAL
 from tests.cli.command import run
 from tests.policies.operators.hands import Hand, twist
 from tests.policies.operators.rigs import FOREVER_S, RawPage, serving_nobody
+from ur_core.processes.system import LOCAL
 
 pytest.importorskip("viser")
 
@@ -461,7 +461,7 @@ class _Arm:
 
 
 def _status(q):
-    from dual_ur10.sim2real.links.arm_status import ROW_SIZE, ArmStatus
+    from ur_core.links.arm_status import ROW_SIZE, ArmStatus
 
     status = ArmStatus.from_row(np.zeros(ROW_SIZE))
     return status._replace(q_rad=(q,) * 6, target_q_rad=(q + 0.1,) * 6, robot_mode=7, safety_mode=1, slider=1.0)

@@ -21,17 +21,17 @@ import typer
 from rich.console import Console
 
 from dual_ur10 import ENV_IDS, __version__
-from dual_ur10.assets.tool import tool_names
 from dual_ur10.cli import options as cli_options
 from dual_ur10.envs.core.setup import load_task
 from dual_ur10.errors import MissingExtraError, SettingsError
-from dual_ur10.kinematics.robots import ROBOTS
 from dual_ur10.policies.baselines import BASELINES
 from dual_ur10.policies.operators.catalog import DEVICES
 from dual_ur10.policies.registry import NAMES, shipped_names
-from dual_ur10.sim2real.processes.interrupts import INTERRUPTED
 from dual_ur10.sim2real.recording import run_folder
 from tests.cli.command import run
+from ur_core.kinematics.robots import ROBOTS
+from ur_core.processes.interrupts import INTERRUPTED
+from ur_core.tools.tool import tool_names
 from ur_emulator.virtual.virtual_cell import VirtualCell
 
 WAIT_S = 60.0

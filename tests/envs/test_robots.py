@@ -13,11 +13,11 @@ from dual_ur10 import ArmMount, CellConfig, ServojProfile
 from dual_ur10.assets.settings import default_mount
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.errors import CheckpointError, SettingsError, UnknownNameError, WorkspaceError
-from dual_ur10.kinematics.robots import ROBOTS
-from dual_ur10.kinematics.ur10 import nominal_dh
 from dual_ur10.policies import load
 from dual_ur10.policies.learned.signature import view_of
 from dual_ur10.sim2real.control.limits import MotionLimits
+from ur_core.kinematics.robots import ROBOTS
+from ur_core.kinematics.ur10 import nominal_dh
 
 SINE, CARRY, HANDOVER = (f"DualUR10/{task}-v0" for task in ("SineTracking", "SyncCarry", "Handover"))
 

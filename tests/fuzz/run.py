@@ -27,7 +27,7 @@ OUT = ROOT / "out" / "fuzz"
 CORPUS = FOLDER / "corpus"
 
 ARITHMETIC = [
-    *("dual_ur10.assets", "dual_ur10.envs", "dual_ur10.kinematics", "dual_ur10.sim2real.control"),
+    *("dual_ur10.assets", "dual_ur10.envs", "ur_core.kinematics", "dual_ur10.sim2real.control"),
     *(f"ur_emulator.{each}" for each in ("controller", "motion", "safety", "rtde_variables")),
 ]
 HANG_S = 10

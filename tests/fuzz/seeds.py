@@ -11,12 +11,9 @@ from typing import Final
 import numpy as np
 from safetensors.numpy import save
 
-from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.policies.learned.checkpoint import _tensors
 from dual_ur10.sim2real.calibration import data_file
 from dual_ur10.sim2real.config.cell_file_reference import EXAMPLES, starting_text
-from dual_ur10.sim2real.protocol.primary_messages import version_message
-from dual_ur10.sim2real.protocol.primary_packet import PrimaryPacket
 from dual_ur10.sim2real.recording import mcap_records as mcap
 from dual_ur10.sim2real.recording.encoding import single_record
 from dual_ur10.sim2real.recording.rows import BeginRow, StepRow
@@ -26,6 +23,9 @@ from dual_ur10.sim2real.trajectory.files import _csv_of, _json_of
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
 from tests.fuzz.targets import HEADER, MANIFEST, NETWORKS, PREAMBLE, PROFILE, in_pieces
 from tests.ur_emulator.rtde_bytes import VERSION_2, data, inputs, message, outputs
+from ur_core.kinematics.ur10 import NOMINAL_DH
+from ur_core.protocol.primary_messages import version_message
+from ur_core.protocol.primary_packet import PrimaryPacket
 from ur_emulator.rtde_variables import zero_values
 
 _SAMPLE: Final = "d6diI"

@@ -33,25 +33,15 @@ from dual_ur10.errors import (
     TrajectoryError,
     UnknownNameError,
 )
-from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.policies.learned import schema
 from dual_ur10.policies.learned.checkpoint import _layers
 from dual_ur10.policies.learned.manifest import FORMAT, _checksum, parse
 from dual_ur10.sim2real.calibration import data_file
 from dual_ur10.sim2real.config.cell_file import examine_text
 from dual_ur10.sim2real.config.cell_file_tables import EmulatedTrackerEntry
-from dual_ur10.sim2real.links.dashboard_link import DashboardLink
-from dual_ur10.sim2real.links.json_link import JsonLink
-from dual_ur10.sim2real.links.primary_link import _Reader
-from dual_ur10.sim2real.links.rtde_link import RtdeLink
-from dual_ur10.sim2real.links.rtde_stream import RtdeStream
 from dual_ur10.sim2real.peripherals.gripper_link import RobotiqLink
+from dual_ur10.sim2real.peripherals.json_link import JsonLink
 from dual_ur10.sim2real.peripherals.object_tracker import CameraTracker, Flanges
-from dual_ur10.sim2real.processes.system import LOCAL
-from dual_ur10.sim2real.protocol.primary_messages import error_code_message, popup_message, text_message
-from dual_ur10.sim2real.protocol.primary_packet import PrimaryPacket
-from dual_ur10.sim2real.protocol.rtde import TYPES, FrameReader
-from dual_ur10.sim2real.protocol.text_lines import LineReader
 from dual_ur10.sim2real.recording import mcap_records as mcap
 from dual_ur10.sim2real.recording.cdr import HEAD
 from dual_ur10.sim2real.recording.encoding import Encoder, single_record
@@ -62,6 +52,16 @@ from dual_ur10.sim2real.recording.schemas import BEGIN, EVENT, SENT_COLUMNS, SIN
 from dual_ur10.sim2real.trajectory.files import Format, _csv_of, parse_trajectory
 from tests.policies.learned.checkpoints import parts
 from tests.sim2real.recording.runs import header
+from ur_core.kinematics.ur10 import NOMINAL_DH
+from ur_core.links.dashboard_link import DashboardLink
+from ur_core.links.primary_link import _Reader
+from ur_core.links.rtde_link import RtdeLink
+from ur_core.links.rtde_stream import RtdeStream
+from ur_core.processes.system import LOCAL
+from ur_core.protocol.primary_messages import error_code_message, popup_message, text_message
+from ur_core.protocol.primary_packet import PrimaryPacket
+from ur_core.protocol.rtde import TYPES, FrameReader
+from ur_core.protocol.text_lines import LineReader
 from ur_emulator.arm_server import ArmServer, DashboardPeer, LinePeer
 from ur_emulator.builtins import builtins_of
 from ur_emulator.controller import ArmReading, Controller

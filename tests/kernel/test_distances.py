@@ -12,10 +12,10 @@ from dual_ur10.assets.collision_model import CLEARANCE_CUTOFF_M, build_collision
 from dual_ur10.assets.obstacles import Box, Capsule, Plane
 from dual_ur10.assets.props import BAR, BLOCK
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance
 from tests.sim2real.control.reference_cell import UNEQUAL, random_q
 from tests.soak import SOAK
+from ur_core.kinematics.ur10 import ARMS
 
 COUNT = 250_000 if SOAK else 1_000
 BOX, CAPSULE = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CAPSULE

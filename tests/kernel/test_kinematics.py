@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD
 from dual_ur10.sim2real.control.limits import POINTS, Envelope, MotionLimits
 from tests.sim2real.control.motion_checks import cartesian_use, elbow_position, flange
 from tests.sim2real.control.reference_cell import dh_product
+from ur_core.kinematics.ur10 import JOINT_RANGE_RAD
 
 TICK_S = 0.008
 TOOLS = [((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), ((0.02, -0.03, 0.19), (0.0, 0.25, 0.1)), ((0.3, 0, 0), (0, 0, 0))]

@@ -19,16 +19,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dual_ur10 import kernel, kinematics
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.errors import KernelError
-from dual_ur10.kernel import Constants, Struct
-from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import Envelope, MotionLimits
 from tests.sim2real.control.motion_checks import AlwaysClear
+from ur_core import kernel, kinematics
+from ur_core.kernel import Constants, Struct
+from ur_core.kinematics.ur10 import NOMINAL_DH
 
 ROOT = Path(__file__).parents[2]
+CORE = ROOT / "packages" / "ur-core"
 
 
 def fitting() -> dict[str, object]:
@@ -119,7 +120,9 @@ def test_every_function_of_arrays_declares_their_sizes() -> None:
 
 def test_no_array_of_a_structure_is_replaced() -> None:
     """The kernel would go on with the former one. Whoever replaces an array makes the structure anew."""
-    for path in sorted([*(ROOT / "dual_ur10").rglob("*.py"), *(ROOT / "ur_emulator").rglob("*.py")]):
+    for path in sorted(
+        [*(ROOT / "dual_ur10").rglob("*.py"), *(ROOT / "ur_emulator").rglob("*.py"), *CORE.rglob("*.py")]
+    ):
         source = path.read_text()
         if "Struct(" not in source:
             continue
@@ -192,7 +195,7 @@ def test_a_copy_is_loaded(copied: Path) -> None:
 def test_a_library_of_other_sources_is_refused(copied: Path, name: str) -> None:
     with (copied / name).open("a") as source:
         source.write("// changed\n")
-    with pytest.raises(KernelError, match=r"not that of the sources beside it.*python hatch_build.py"):
+    with pytest.raises(KernelError, match=r"not that of the sources beside it.*python packages/ur-core/hatch_build.py"):
         load()
 
 
@@ -204,7 +207,7 @@ def test_a_new_source_is_noticed(copied: Path) -> None:
 
 def test_a_missing_library_is_reported(copied: Path) -> None:
     (copied / "_kernel.so").unlink()
-    with pytest.raises(KernelError, match=r"_kernel\.so is missing in .*python hatch_build.py"):
+    with pytest.raises(KernelError, match=r"_kernel\.so is missing in .*python packages/ur-core/hatch_build.py"):
         load()
 
 
@@ -216,12 +219,12 @@ def test_a_foreign_library_is_reported(copied: Path) -> None:
 
 
 def test_the_build_hashes_sources_as_the_package_does() -> None:
-    spec = importlib.util.spec_from_file_location("hatch_build", ROOT / "hatch_build.py")
+    spec = importlib.util.spec_from_file_location("hatch_build", CORE / "hatch_build.py")
     assert spec is not None
     assert spec.loader is not None
     build = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(build)
-    assert build.sources_hash(ROOT / build.KERNEL) == kernel.sources_hash()
+    assert build.sources_hash(CORE / build.KERNEL) == kernel.sources_hash()
 
 
 def test_constants_keep_their_own_memory(tmp_path: Path) -> None:

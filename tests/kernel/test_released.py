@@ -12,14 +12,14 @@ from hypothesis import strategies as st
 from dual_ur10.assets.collision_model import build_collision_model
 from dual_ur10.assets.obstacles import Box, Capsule
 from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
-from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.control.adapter import ServojAdapter
 from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance
 from dual_ur10.sim2real.control.gate import SWEEP_TOLERANCE_M, SafetyGate
 from dual_ur10.sim2real.control.limits import MotionLimits
-from dual_ur10.sim2real.control.servoj import ServojProfile
 from tests.sim2real.control.motion_checks import HARD, NARROW, TIGHT, TOOL, assert_within, braked
 from tests.soak import scaled
+from ur_core.kinematics.ur10 import NOMINAL_DH
+from ur_core.servoj import ServojProfile
 
 SCENE = SceneSettings(
     obstacles=(

@@ -10,13 +10,13 @@ import pytest
 
 from dual_ur10.assets.obstacles import Box
 from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
-from dual_ur10.kinematics.ur10 import ARMS, NOMINAL_DH
 from dual_ur10.sim2real.control.adapter import ServojAdapter
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.pipeline import ServojPipeline
-from dual_ur10.sim2real.control.servoj import ServojProfile
 from tests.sim2real.control.motion_checks import ACTION_KINDS, HARD, TIGHT, adversarial_action
+from ur_core.kinematics.ur10 import ARMS, NOMINAL_DH
+from ur_core.servoj import ServojProfile
 
 N, PERIODS = 64, 45
 SCENE = SceneSettings(obstacles=(Box(name="plate", position_m=(0.3, 0.0, 0.9), size_m=(0.6, 0.01, 0.4)),))

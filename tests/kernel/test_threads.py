@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from dual_ur10.kernel import RowLoop, Struct
+from ur_core.kernel import RowLoop, Struct
 
 N, CALLS = 400, 300
 

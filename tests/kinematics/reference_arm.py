@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dual_ur10.kinematics.ur10 import DH_A_M, DH_ALPHA_RAD, DH_D_M, JOINT_RANGE_RAD, NOMINAL_DH, DHParameters
+from ur_core.kinematics.ur10 import DH_A_M, DH_ALPHA_RAD, DH_D_M, JOINT_RANGE_RAD, NOMINAL_DH, DHParameters
 
 
 def random_q(count: int, seed: int = 0, limit: np.ndarray = JOINT_RANGE_RAD) -> np.ndarray:

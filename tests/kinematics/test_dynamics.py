@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dual_ur10 import kinematics
 from dual_ur10.errors import SettingsError
-from dual_ur10.kinematics.robots import ROBOTS
-from dual_ur10.kinematics.ur10 import DH_ALPHA_RAD
 from tests.kinematics.reference_arm import random_q
+from ur_core import kinematics
+from ur_core.kinematics.robots import ROBOTS
+from ur_core.kinematics.ur10 import DH_ALPHA_RAD
 
 
 def mujoco_arm(payload_kg: float, com: tuple[float, float, float], robot: str) -> mujoco.MjModel:

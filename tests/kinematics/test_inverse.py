@@ -9,10 +9,10 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
-from dual_ur10 import kinematics
 from dual_ur10.errors import SettingsError, UnreachableError
-from dual_ur10.kinematics.ur10 import DH_A_M, DH_D_M, JOINT_RANGE_RAD, NOMINAL_DH
 from tests.kinematics.reference_arm import assert_reaches, calibration, independent_pose, random_q
+from ur_core import kinematics
+from ur_core.kinematics.ur10 import DH_A_M, DH_D_M, JOINT_RANGE_RAD, NOMINAL_DH
 
 TWO_PI = 2 * np.pi
 

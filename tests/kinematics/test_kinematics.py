@@ -12,11 +12,11 @@ import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dual_ur10 import kinematics
 from dual_ur10.errors import SettingsError
-from dual_ur10.kinematics.forward import elbow_flange_and_tcp
-from dual_ur10.kinematics.ur10 import DH_D_M, NOMINAL_DH, DHParameters
 from tests.kinematics.reference_arm import calibration, independent_pose, random_q
+from ur_core import kinematics
+from ur_core.kinematics.forward import elbow_flange_and_tcp
+from ur_core.kinematics.ur10 import DH_D_M, NOMINAL_DH, DHParameters
 
 
 @pytest.fixture(scope="module")
@@ -148,7 +148,7 @@ def test_six_joints_are_needed(function, shape: tuple[int, ...]) -> None:
 
 
 def test_import_does_not_wait_for_pinocchio() -> None:
-    code = "import sys, dual_ur10.kinematics; assert 'pinocchio' not in sys.modules"
+    code = "import sys, ur_core.kinematics; assert 'pinocchio' not in sys.modules"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

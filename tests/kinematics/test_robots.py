@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dual_ur10 import kinematics
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.kinematics import ur10
-from dual_ur10.kinematics.robot_model import REFERENCE_TORQUE_NM, RobotModel, stretched_inertia
-from dual_ur10.kinematics.robots import ROBOTS, robot_model
-from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD, NOMINAL_DH, DHParameters, nominal_dh
 from tests.kinematics.reference_arm import assert_reaches, calibration, independent_pose, random_q
 from tests.soak import scaled
+from ur_core import kinematics
+from ur_core.kinematics import ur10
+from ur_core.kinematics.robot_model import REFERENCE_TORQUE_NM, RobotModel, stretched_inertia
+from ur_core.kinematics.robots import ROBOTS, robot_model
+from ur_core.kinematics.ur10 import JOINT_RANGE_RAD, NOMINAL_DH, DHParameters, nominal_dh
 
 MODELS = pytest.mark.parametrize("model", ROBOTS.values(), ids=ROBOTS)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dual_ur10.kinematics import rotations
+from ur_core.kinematics import rotations
 
 RANDOM = Rotation.random(1000, rng=np.random.default_rng(3))
 OTHER = Rotation.random(1000, rng=np.random.default_rng(4))

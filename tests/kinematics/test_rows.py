@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dual_ur10.envs.tasks import geometry
-from dual_ur10.kinematics import frames, poses, rotations
-from dual_ur10.kinematics.poses import Poses
 from dual_ur10.sim2real.config.cell import CellConfig
+from ur_core.kinematics import frames, poses, rotations
+from ur_core.kinematics.poses import Poses
 
 _CELL = CellConfig()
 _FRAMES = frames.Frames((_CELL.left, _CELL.right))

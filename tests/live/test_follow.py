@@ -7,12 +7,12 @@ import pytest
 
 from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.cli.follow import NOT_REACHED
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.trajectory.files import write_trajectory
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
 from dual_ur10.testing import CellForTests
 from tests.cli.command import run
 from tests.sim2real.trajectory.following import wave
+from ur_core.kinematics.ur10 import ARMS
 
 NEAR_RAD = 1e-3
 

@@ -5,9 +5,9 @@ import pytest
 
 import dual_ur10  # noqa: F401  # registers the environments
 from dual_ur10.errors import CellFaulted, StartError
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies import load
 from dual_ur10.testing import CellForTests
+from ur_core.kinematics.ur10 import ARMS
 
 ENV_ID = "DualUR10/SineTracking-v0"
 STALLED = ("too busy", "no longer responds", "clock has stalled", "control script no longer runs", "program state")

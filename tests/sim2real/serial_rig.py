@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from dual_ur10.sim2real.serial_arm.firmware import SerialFirmware
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
-from ur_emulator.serial_firmware import SerialFirmware
 from ur_emulator.virtual.virtual_system import VirtualProcess, VirtualSystem, World
 
 STEP_S = 0.002

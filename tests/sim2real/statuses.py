@@ -1,7 +1,7 @@
 """Statuses of arms for tests."""
 
-from dual_ur10.sim2real.links.arm_status import OPTIONAL_VARIABLES, STATUS_VARIABLES, ArmStatus
-from dual_ur10.sim2real.links.rtde_stream import Sample
+from ur_core.links.arm_status import OPTIONAL_VARIABLES, STATUS_VARIABLES, ArmStatus
+from ur_core.links.rtde_stream import Sample
 from ur_emulator.profile import PROFILES
 from ur_emulator.rtde_variables import zero_values
 

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.kinematics import flange_pose
-from dual_ur10.kinematics.ur10 import NOMINAL_DH
+from ur_core.kinematics import flange_pose
+from ur_core.kinematics.ur10 import NOMINAL_DH
 from ur_emulator.motion import Handle, Motion
 
 Array = NDArray[np.float64]

@@ -7,11 +7,11 @@ import pytest
 
 from dual_ur10.assets.props import TARGET
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.kinematics import flange_pose
-from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.config.cell import CellConfig
-from dual_ur10.sim2real.control.servoj import ServojProfile
 from tests.ur_emulator.ticking import Cell
+from ur_core.kinematics import flange_pose
+from ur_core.kinematics.ur10 import NOMINAL_DH
+from ur_core.servoj import ServojProfile
 from ur_emulator.cell_world import CellWorld
 from ur_emulator.motion import JointTorques, Motion
 from ur_emulator.world import PlantOptions

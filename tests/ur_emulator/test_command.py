@@ -11,11 +11,11 @@ from typer.testing import CliRunner
 from dual_ur10.assets.settings import default_mount, home_q_rad
 from dual_ur10.cli import main as cli
 from dual_ur10.errors import SettingsError
-from dual_ur10.kinematics.robots import ROBOTS
-from dual_ur10.sim2real.links.rtde_link import RtdeLink
-from dual_ur10.sim2real.processes.system import LOCAL
 from tests.ur_emulator.test_emulated_cell import served
 from tests.ur_emulator.ticking import Cell
+from ur_core.kinematics.robots import ROBOTS
+from ur_core.links.rtde_link import RtdeLink
+from ur_core.processes.system import LOCAL
 from ur_emulator.addresses import PORTS, free_address
 from ur_emulator.cli import app, by_themselves, of_cell
 from ur_emulator.emulator import run

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dual_ur10.errors import OperationRefusedError
-from dual_ur10.kinematics.ur10 import JOINT_SPEED_RAD_S
-from dual_ur10.sim2real.protocol.modes import RobotMode, RuntimeState, SafetyBits, SafetyMode
 from tests.soak import SOAK
 from tests.ur_emulator.ticking import COUNT, HOME, PLAYS, Bench, program
+from ur_core.kinematics.ur10 import JOINT_SPEED_RAD_S
+from ur_core.protocol.modes import RobotMode, RuntimeState, SafetyBits, SafetyMode
 from ur_emulator.controller import LiveValues
 
 FAR = [1.2, -1.2, 1.2, -1.0, -1.2, 1.5]

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dual_ur10.errors import OperationRefusedError, UnknownNameError
-from dual_ur10.sim2real.protocol.modes import RobotMode, RuntimeState, SafetyMode
 from tests.soak import scaled
 from tests.ur_emulator.ticking import Bench
+from ur_core.protocol.modes import RobotMode, RuntimeState, SafetyMode
 from ur_emulator.dashboard import GREETING, LOCAL_MODE, Dashboard
 from ur_emulator.pendant import Pendant
 from ur_emulator.profile import PROFILES, ControllerProfile

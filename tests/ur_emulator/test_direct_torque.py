@@ -13,14 +13,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dual_ur10.assets.scene import build_model
-from dual_ur10.kinematics import dynamics
-from dual_ur10.kinematics.dynamics import inverse_dynamics, mass_matrix
-from dual_ur10.kinematics.robots import ROBOTS
-from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD
-from dual_ur10.sim2real.protocol.modes import RuntimeState, SafetyMode
-from dual_ur10.types import Array
 from tests.soak import scaled
 from tests.ur_emulator.ticking import Cell, program
+from ur_core.kinematics import dynamics
+from ur_core.kinematics.dynamics import inverse_dynamics, mass_matrix
+from ur_core.kinematics.robots import ROBOTS
+from ur_core.kinematics.ur10 import JOINT_RANGE_RAD
+from ur_core.protocol.modes import RuntimeState, SafetyMode
+from ur_core.types import Array
 from ur_emulator.emulator import EmulatorOptions, cell_of
 
 TICK_S = 0.002

@@ -16,11 +16,11 @@ import psutil
 import pytest
 from typer.testing import CliRunner
 
-from dual_ur10.assets.generic_140 import GENERIC_140
 from dual_ur10.cli import main as cli
 from dual_ur10.errors import AddressError, ClosedError, DualUR10Error, EmulatorError, SettingsError, UnknownNameError
 from dual_ur10.sim2real.config.cell_file import load_cell_file
 from tests.ur_emulator.ticking import Cell
+from ur_core.tools.generic_140 import GENERIC_140
 from ur_emulator import emulated_cell
 from ur_emulator.addresses import free_address, is_free
 from ur_emulator.emulated_cell import EmulatedCell

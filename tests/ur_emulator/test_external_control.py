@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dual_ur10.sim2real.processes.system import LOCAL
 from tests.external_control import PORTS, Driver, Mode, Point, Result
 from tests.ur_emulator.ticking import PLAYS, Bench
 from tests.waiting import until
+from ur_core.processes.system import LOCAL
 from ur_emulator.addresses import free_address
 from ur_emulator.emulated_cell import EmulatedCell
 from ur_emulator.profile import profile_of

@@ -13,13 +13,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dual_ur10.kinematics import flange_pose
-from dual_ur10.kinematics.ur10 import ARMS, DHParameters
-from dual_ur10.sim2real.protocol.modes import RobotMode
 from tests.soak import SOAK, scaled
 from tests.ur_emulator import rtde_bytes
 from tests.ur_emulator.ticking import Cell, program
 from tests.waiting import until
+from ur_core.kinematics import flange_pose
+from ur_core.kinematics.ur10 import ARMS, DHParameters
+from ur_core.protocol.modes import RobotMode
 from ur_emulator.link_faults import LinkFaults
 from ur_emulator.script import parse
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from dual_ur10.assets.props import GRIP_DISTANCE_M, GRIP_QUAT
-from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
-from dual_ur10.kinematics.frames import Frames
-from dual_ur10.kinematics.rotations import quat_multiply, quat_to_rotvec, rotate
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.testing import VirtualCell
+from ur_core.kinematics.frames import Frames
+from ur_core.kinematics.rotations import quat_multiply, quat_to_rotvec, rotate
+from ur_core.tools.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 
 ARMS = ("left", "right")
 

@@ -8,11 +8,11 @@ import pytest
 
 from dual_ur10.envs.core.randomization import JOINT_FRICTION_NM, PRESETS
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.kinematics import flange_pose
-from dual_ur10.kinematics.robots import ROBOTS
-from dual_ur10.kinematics.ur10 import nominal_dh
 from tests import rollout_hashes
 from tests.ur_emulator.ticking import Cell
+from ur_core.kinematics import flange_pose
+from ur_core.kinematics.robots import ROBOTS
+from ur_core.kinematics.ur10 import nominal_dh
 from ur_emulator import lone_arm
 from ur_emulator.lone_arm import DEVIATIONS, LoneArm
 from ur_emulator.motion import JointTorques, Motion

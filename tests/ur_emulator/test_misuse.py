@@ -6,11 +6,11 @@ import itertools
 import numpy as np
 import pytest
 
-from dual_ur10.kinematics import flange_pose
-from dual_ur10.kinematics.ur10 import NOMINAL_DH
-from dual_ur10.sim2real.protocol.modes import RuntimeState, SafetyMode
-from dual_ur10.sim2real.protocol.primary_packet import PrimaryPacket
 from tests.ur_emulator.ticking import HOME, Bench, program
+from ur_core.kinematics import flange_pose
+from ur_core.kinematics.ur10 import NOMINAL_DH
+from ur_core.protocol.modes import RuntimeState, SafetyMode
+from ur_core.protocol.primary_packet import PrimaryPacket
 from ur_emulator.controller import ArmReading
 from ur_emulator.realtime_packet import RealtimePacket
 

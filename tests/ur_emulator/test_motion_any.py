@@ -10,9 +10,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from dual_ur10.errors import MotionError
-from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD, JOINT_SPEED_RAD_S
 from tests.soak import scaled
 from tests.ur_emulator.motion_runs import DT, Q0, SUBSTEPS, at_rest, motion
+from ur_core.kinematics.ur10 import JOINT_RANGE_RAD, JOINT_SPEED_RAD_S
 from ur_emulator.motion import Motion
 from ur_emulator.motion.servo import Servo
 from ur_emulator.motion.trajectories import ACCELERATION_LIMIT_RAD_S2, Superposed

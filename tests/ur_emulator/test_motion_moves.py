@@ -11,8 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dual_ur10.kinematics import flange_pose
-from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD, JOINT_SPEED_RAD_S, NOMINAL_DH
 from tests.soak import scaled
 from tests.ur_emulator.motion_runs import (
     DT,
@@ -26,6 +24,8 @@ from tests.ur_emulator.motion_runs import (
     run,
     until_done,
 )
+from ur_core.kinematics import flange_pose
+from ur_core.kinematics.ur10 import JOINT_RANGE_RAD, JOINT_SPEED_RAD_S, NOMINAL_DH
 from ur_emulator.motion.tool_kinematics import rotvec_of
 from ur_emulator.motion.trajectories import ACCELERATION_LIMIT_RAD_S2
 

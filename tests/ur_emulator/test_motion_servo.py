@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dual_ur10.envs.sim.servo_reference import ServojReference
-from dual_ur10.kinematics.ur10 import JOINT_SPEED_RAD_S
-from dual_ur10.sim2real.control.servoj import ServojLaw, ServojProfile
 from tests.soak import scaled
 from tests.ur_emulator.motion_runs import DT, Q0, SUBSTEPS, TICK_S, at_rest, motion, run, until_fault
+from ur_core.kinematics.ur10 import JOINT_SPEED_RAD_S
+from ur_core.servoj import ServojLaw, ServojProfile
 from ur_emulator.profile import Assumptions
 
 

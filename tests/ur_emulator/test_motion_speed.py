@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD, JOINT_SPEED_RAD_S
 from tests.soak import scaled
 from tests.ur_emulator.motion_runs import (
     DT,
@@ -24,6 +23,7 @@ from tests.ur_emulator.motion_runs import (
     until_done,
     until_fault,
 )
+from ur_core.kinematics.ur10 import JOINT_RANGE_RAD, JOINT_SPEED_RAD_S
 from ur_emulator.motion.tool_kinematics import rotvec_of
 
 

@@ -6,11 +6,11 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dual_ur10.kinematics import flange_pose
-from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_to_matrix
-from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from tests.soak import scaled
 from tests.ur_emulator.motion_runs import Q0, motion
+from ur_core.kinematics import flange_pose
+from ur_core.kinematics.rotations import quat_from_rotvec, quat_to_matrix
+from ur_core.kinematics.ur10 import NOMINAL_DH
 from ur_emulator.motion.tool_kinematics import frame_of, pose_of, rotation_of, rotvec_of
 
 ROTVEC = st.tuples(*(st.floats(-1, 1),) * 3).filter(lambda v: np.linalg.norm(v) > 1e-3)

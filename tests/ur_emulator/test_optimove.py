@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dual_ur10.kinematics.dynamics import inverse_dynamics
-from dual_ur10.kinematics.robots import ROBOTS
-from dual_ur10.kinematics.ur10 import nominal_dh
-from dual_ur10.sim2real.protocol.modes import RuntimeState, SafetyMode
 from tests.soak import scaled
 from tests.ur_emulator.test_direct_torque import TICK_S, Arm
+from ur_core.kinematics.dynamics import inverse_dynamics
+from ur_core.kinematics.robots import ROBOTS
+from ur_core.kinematics.ur10 import nominal_dh
+from ur_core.protocol.modes import RuntimeState, SafetyMode
 from ur_emulator.motion.capability import Load, joint_capability, line_capability
 from ur_emulator.motion.tool_kinematics import ArmKinematics, Frame, Tool
 

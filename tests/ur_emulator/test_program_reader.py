@@ -3,8 +3,8 @@
 import pytest
 
 from dual_ur10.errors import ScriptSyntaxError
-from dual_ur10.sim2real.processes.system import LOCAL
 from tests.ur_emulator.ticking import Bench
+from ur_core.processes.system import LOCAL
 from ur_emulator.program_reader import SHORT, ProgramReader
 from ur_emulator.script import Machine, compiled
 

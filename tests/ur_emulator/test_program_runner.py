@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from dual_ur10.errors import OperationRefusedError, ScriptSyntaxError
-from dual_ur10.sim2real.protocol.modes import RuntimeState, SafetyMode
 from tests.ur_emulator.ticking import COUNT, HOME, Bench, program
+from ur_core.protocol.modes import RuntimeState, SafetyMode
 
 IDLE = "while True:\n  sync()\nend"
 MOVE = f"movej({[1.2, *HOME[1:]]}, a=3, v=1)"

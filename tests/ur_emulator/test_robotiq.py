@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 from tests.soak import scaled
+from ur_core.tools.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 from ur_emulator.robotiq import (
     ACTIVATION_S,
     AT_POSITION,

@@ -9,13 +9,13 @@ import pytest
 
 from dual_ur10.assets.settings import default_mount, home_q_rad
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.kinematics import flange_pose
-from dual_ur10.kinematics.robots import ROBOTS
-from dual_ur10.kinematics.ur10 import nominal_dh
 from dual_ur10.sim2real.commissioning.findings import ExpectedArm, calibration_findings, model_findings
 from dual_ur10.sim2real.config.cell_file import load_cell_file
-from dual_ur10.sim2real.links.primary_link import PrimaryFacts
-from dual_ur10.sim2real.protocol.primary_packet import kinematics_checksums
+from ur_core.kinematics import flange_pose
+from ur_core.kinematics.robots import ROBOTS
+from ur_core.kinematics.ur10 import nominal_dh
+from ur_core.links.primary_link import PrimaryFacts
+from ur_core.protocol.primary_packet import kinematics_checksums
 from ur_emulator.emulator import Emulator, EmulatorOptions
 from ur_emulator.profile import PROFILES, profile_for
 

@@ -16,10 +16,10 @@ from pathlib import Path
 import psutil
 import pytest
 
-from dual_ur10.sim2real.protocol.modes import RuntimeState
 from tests.soak import scaled
 from tests.ur_emulator import rtde_bytes
 from tests.ur_emulator.ticking import COUNT, program
+from ur_core.protocol.modes import RuntimeState
 from ur_emulator.emulated_cell import EmulatedCell
 
 ROOT = Path(__file__).parents[2]

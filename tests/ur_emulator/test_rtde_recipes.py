@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dual_ur10.errors import SettingsError
-from dual_ur10.sim2real.protocol.rtde import TYPES
+from ur_core.protocol.rtde import TYPES
 from ur_emulator.profile import profile_of
 from ur_emulator.registers import Registers
 from ur_emulator.rtde_recipes import InputRecipe, OutputRecipe

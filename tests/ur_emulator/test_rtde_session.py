@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 
 from dual_ur10.errors import ClosedError, ProtocolError, SettingsError
-from dual_ur10.sim2real.protocol.rtde import TextKind
 from tests.ur_emulator.rtde_bytes import RECEIVED, SERVOJ, VERSION_2, RtdeBench, data, inputs, message, outputs
+from ur_core.protocol.rtde import TextKind
 from ur_emulator.profile import profile_of
 from ur_emulator.registers import Registers
 from ur_emulator.rtde_session import RtdePort

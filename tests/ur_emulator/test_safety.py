@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dual_ur10.errors import OperationRefusedError
-from dual_ur10.sim2real.protocol.modes import RobotMode, SafetyBits, SafetyMode
+from ur_core.protocol.modes import RobotMode, SafetyBits, SafetyMode
 from ur_emulator.profile import Assumptions
 from ur_emulator.safety import UNLOCK_TOO_EARLY, Demand, Safety
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from dual_ur10.errors import ScriptSyntaxError
-from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from tests.ur_emulator.ticking import Bench
+from ur_core.kinematics.ur10 import NOMINAL_DH
 from ur_emulator.builtins import builtins_of
 from ur_emulator.controller import Controller
 from ur_emulator.profile import POLYSCOPES

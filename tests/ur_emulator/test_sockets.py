@@ -7,8 +7,8 @@ import time
 import pytest
 
 from dual_ur10.errors import AddressError, ProtocolError
-from dual_ur10.sim2real.protocol.rtde import FrameReader, Kind
 from tests.ur_emulator import rtde_bytes
+from ur_core.protocol.rtde import FrameReader, Kind
 from ur_emulator.addresses import check_loopback, listening
 from ur_emulator.link_faults import LinkFaults
 from ur_emulator.sockets import MAX_CONNECTIONS, Hub

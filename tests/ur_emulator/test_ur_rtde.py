@@ -9,13 +9,13 @@ import sys
 import numpy as np
 import pytest
 
-from dual_ur10.kinematics import flange_pose
-from dual_ur10.kinematics.robots import MODEL_OF_FAMILY
-from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_to_matrix
-from dual_ur10.kinematics.ur10 import NOMINAL_DH, TICK_S, nominal_dh
-from dual_ur10.sim2real.control.servoj import ServojLaw
 from tests.soak import scaled
 from tests.ur_emulator import clients
+from ur_core.kinematics import flange_pose
+from ur_core.kinematics.robots import MODEL_OF_FAMILY
+from ur_core.kinematics.rotations import quat_from_rotvec, quat_to_matrix
+from ur_core.kinematics.ur10 import NOMINAL_DH, TICK_S, nominal_dh
+from ur_core.servoj import ServojLaw
 from ur_emulator.emulated_cell import EmulatedCell
 from ur_emulator.emulator import BOOT_S
 

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from dual_ur10.kinematics.ur10 import JOINT_SPEED_RAD_S, NOMINAL_DH
-from dual_ur10.sim2real.processes.system import LOCAL, System
-from dual_ur10.sim2real.protocol.modes import RobotBits, RobotMode, RuntimeState, SafetyBits, SafetyMode
-from dual_ur10.sim2real.protocol.primary_packet import PrimaryPacket
+from ur_core.kinematics.ur10 import JOINT_SPEED_RAD_S, NOMINAL_DH
+from ur_core.processes.system import LOCAL, System
+from ur_core.protocol.modes import RobotBits, RobotMode, RuntimeState, SafetyBits, SafetyMode
+from ur_core.protocol.primary_packet import PrimaryPacket
 from ur_emulator.builtins import builtins_of
 from ur_emulator.controller import ArmReading, Controller
 from ur_emulator.dashboard import Dashboard

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from dual_ur10.errors import CellFaulted, DualUR10Error, RecordingError
-from dual_ur10.kinematics.ur10 import ARMS, TICK_S
-from dual_ur10.sim2real.protocol.modes import RuntimeState
 from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.runtime.arm_memory import Phase
 from tests.virtual.target_checks import TargetChecks, slack_s
+from ur_core.kinematics.ur10 import ARMS, TICK_S
+from ur_core.protocol.modes import RuntimeState
 
 if TYPE_CHECKING:
     from tests.virtual.simulation import Run

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from dual_ur10.errors import UnknownNameError
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies import load
 from dual_ur10.testing import VirtualCell
 from tests.virtual.observer import Observer
 from tests.virtual.schedule import Schedule
+from ur_core.kinematics.ur10 import ARMS
 
 
 class Interrupt(BaseException):

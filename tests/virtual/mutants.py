@@ -57,7 +57,7 @@ class Mutant:
         Raises:
             PatchError: The text to replace is not there exactly once.
         """
-        text = (root / "dual_ur10" / self.path).read_text()
+        text = (root / self.path).read_text()
         if text.count(self.old) != 1:
             raise PatchError(
                 f"{self.name}: {self.old!r} is {text.count(self.old)} times in {self.path}: adapt the patch"
@@ -65,16 +65,16 @@ class Mutant:
         return text.replace(self.old, self.new)
 
 
-_SENDER = "sim2real/runtime/arm_sender.py"
-_SUPERVISOR = "sim2real/runtime/supervisor.py"
-_MONITOR = "sim2real/runtime/safety_monitor.py"
-_ENFORCER = "sim2real/runtime/stop_enforcer.py"
-_LATCH = "sim2real/runtime/latch.py"
-_RUNNER = "sim2real/runtime/runner.py"
-_CELL = "sim2real/runtime/rtde_cell.py"
-_SCALING = "sim2real/control/time_scaling.py"
-_GATE = "kernel/gate.hpp"
-_CORE = "envs/core/core.py"
+_SENDER = "dual_ur10/sim2real/runtime/arm_sender.py"
+_SUPERVISOR = "dual_ur10/sim2real/runtime/supervisor.py"
+_MONITOR = "dual_ur10/sim2real/runtime/safety_monitor.py"
+_ENFORCER = "dual_ur10/sim2real/runtime/stop_enforcer.py"
+_LATCH = "dual_ur10/sim2real/runtime/latch.py"
+_RUNNER = "dual_ur10/sim2real/runtime/runner.py"
+_CELL = "dual_ur10/sim2real/runtime/rtde_cell.py"
+_SCALING = "dual_ur10/sim2real/control/time_scaling.py"
+_GATE = "packages/ur-core/ur_core/kernel/gate.hpp"
+_CORE = "dual_ur10/envs/core/core.py"
 _STOPS = ("safety", "press")
 
 MUTANTS = (
@@ -87,7 +87,7 @@ MUTANTS = (
     Mutant("program is not ended", _SENDER, "            self.control.stopScript()\n", "", ("slider", "second")),
     Mutant("watchdog is not fed before the start", _SENDER, "        self._kicked_s = now\n            if not self.control.kickWatchdog():", "        self._kicked_s = now\n            if False:", (), ""),
     Mutant("a stale supervisor is accepted", _SENDER, "now - self.cell.supervisor_beat_s > STALE_S", "False", ("stall", "death")),
-    Mutant("watchdog of 1 Hz", "sim2real/runtime/arm_process.py", "control.setWatchdog(WATCHDOG_HZ)", "control.setWatchdog(1.0)"),
+    Mutant("watchdog of 1 Hz", "dual_ur10/sim2real/runtime/arm_process.py", "control.setWatchdog(WATCHDOG_HZ)", "control.setWatchdog(1.0)"),
     Mutant("ramp is too slow", _SENDER, "STOP_RAD_S2: Final = 4.0", "STOP_RAD_S2: Final = 0.1", ("policy", "death")),
     Mutant("ramp is too hard", _SENDER, "STOP_RAD_S3: Final = 200.0", "STOP_RAD_S3: Final = 2e5; STOP_RAD_S2 = 60.0", ("policy", "death")),
     Mutant("brake after the targets is missing", _RUNNER, "brake = past[-1] + self._brake @ (past - past[-1])", "brake = past[-1] + 0 * self._brake @ (past - past[-1])"),
@@ -107,7 +107,7 @@ MUTANTS = (
     Mutant("arms slow down at once", _SCALING, "SLOWING_PER_S: Final = 4.0", "SLOWING_PER_S: Final = 400.0", ("slider",)),
     Mutant("time scaling runs away", _SCALING, "return self.index + self.rate * passed\n        sign", "return self.index + 1.2 * self.rate * passed\n        sign"),
     Mutant("interpolation between targets is wrong", _SCALING, "(stop - before) / 2, (after - start) / 2", "(stop - before), (after - start)"),
-    Mutant("a silent controller is not noticed", "sim2real/links/rtde_link.py", "        return now_s - self._stream.alive_s\n", "        return 0.0\n", test="test_network.py::test_20_a_controller_that_falls_silent_stops_both"),
+    Mutant("a silent controller is not noticed", "packages/ur-core/ur_core/links/rtde_link.py", "        return now_s - self._stream.alive_s\n", "        return 0.0\n", test="test_network.py::test_20_a_controller_that_falls_silent_stops_both"),
 )  # fmt: skip
 """Breaks of sender, ramp, gate (in the compiled kernel), program, latch, supervisor, time scaling and links."""
 
@@ -115,17 +115,16 @@ MUTANTS = (
 def copy(root: Path, target: Path) -> None:
     """Copy the packages and their tests."""
     ignored = shutil.ignore_patterns("__pycache__")
-    for name in ("dual_ur10", "ur_emulator", "tests"):
+    for name in ("dual_ur10", "ur_emulator", "packages", "tests"):
         shutil.copytree(root / name, target / name, ignore=ignored)
-    for name in ("pyproject.toml", "hatch_build.py"):
-        shutil.copy(root / name, target)
+    shutil.copy(root / "pyproject.toml", target)
 
 
 def apply(mutant: Mutant, target: Path) -> None:
     """Break the copy in `target`, and compile its kernel again if that is what is broken."""
-    (target / "dual_ur10" / mutant.path).write_text(mutant.patched(_ROOT))
+    (target / mutant.path).write_text(mutant.patched(_ROOT))
     if mutant.path.endswith(".hpp"):
-        subprocess.run([sys.executable, "hatch_build.py"], cwd=target, check=True)
+        subprocess.run([sys.executable, "packages/ur-core/hatch_build.py"], cwd=target, check=True)
 
 
 def seeds_for(mutant: Mutant) -> list[int]:
@@ -170,7 +169,7 @@ def check(number: int, most: int) -> tuple[int, str]:
         command = [sys.executable, "-m", "tests.virtual.mutants", "--hunt", str(number), "--seeds", str(most)]
         if mutant.test:
             command = [sys.executable, "-m", "pytest", "-x", f"tests/virtual/faults/{mutant.test}"]
-        environment = {**os.environ, "PYTHONPATH": str(target)}
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (target, target / "packages" / "ur-core")))}
         found = subprocess.run(
             command, cwd=target, env=environment, capture_output=True, text=True, timeout=_LIMIT_S, check=False
         )

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from dual_ur10.kinematics.ur10 import ARMS, HARD_ACCELERATION_RAD_S2, HARD_SPEED_RAD_S, JOINT_RANGE_RAD, TICK_S
 from dual_ur10.sim2real.runtime.arm_memory import Phase
 from tests.virtual.observer import Episode
 from tests.virtual.schedule import Schedule
+from ur_core.kinematics.ur10 import ARMS, HARD_ACCELERATION_RAD_S2, HARD_SPEED_RAD_S, JOINT_RANGE_RAD, TICK_S
 
 if TYPE_CHECKING:
     from tests.virtual.simulation import Run

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from dual_ur10.sim2real.commissioning.doctor import REGISTERS
-from dual_ur10.sim2real.links.rtde_link import RtdeClient
-from dual_ur10.sim2real.protocol.rtde import Kind
 from dual_ur10.testing import VirtualCell
+from ur_core.links.rtde_link import RtdeClient
+from ur_core.protocol.rtde import Kind
 from ur_emulator.virtual.control import ScriptControl
 
 TICK_S = 0.008

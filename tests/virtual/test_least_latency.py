@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from dual_ur10.kinematics.robot_model import TICK_S
 from dual_ur10.sim2real.runtime.runner import least_latency_ticks
 from dual_ur10.testing import VirtualCell
+from ur_core.kinematics.robot_model import TICK_S
 
 SLIDERS = (0.83, 1.0) * 5
 

@@ -10,7 +10,7 @@ from tests.virtual.mutants import MUTANTS, PatchError, apply, copy, seeds_for
 from tests.virtual.schedule import draw
 
 ROOT = Path(__file__).parents[2]
-LIBRARY = "dual_ur10/kernel/_kernel.so"
+LIBRARY = "packages/ur-core/ur_core/kernel/_kernel.so"
 
 
 def test_there_are_30_of_them():

@@ -7,13 +7,13 @@ import pytest
 
 import dual_ur10  # noqa: F401  # registers the environments
 from dual_ur10.errors import DeviceSilentError, DeviceUnpluggedError, StopPressedError
-from dual_ur10.kinematics.robot_model import TICK_S
 from dual_ur10.policies.evaluation.rollout import act
 from dual_ur10.policies.operators.spacemouse import SpaceMouse
 from dual_ur10.sim2real.runtime.runner import least_latency_ticks
 from dual_ur10.testing import VirtualCell
 from tests.policies.operators.hands import operator_of
 from tests.policies.operators.rigs import RawMouse
+from ur_core.kinematics.robot_model import TICK_S
 from ur_emulator.controller import Controller
 
 KEYWORDS = {"action_mode": "tcp_delta", "policy_rate_hz": 125.0}

@@ -4,10 +4,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.testing import VirtualCell
 from tests.parity import TASK, simulated
 from tests.soak import scaled
+from ur_core.kinematics.ur10 import ARMS
 
 TICKS = scaled(2000)
 

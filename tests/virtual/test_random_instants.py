@@ -5,13 +5,13 @@ import pytest
 
 from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.follower import make_follower
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.trajectory import GoalState, ResultCode, TrajectoryGoal
 from dual_ur10.sim2real.trajectory.interpolation import Interpolation
 from dual_ur10.testing import VirtualCell
 from tests.sim2real.trajectory.following import part, wave
 from tests.soak import SOAK
+from ur_core.kinematics.ur10 import ARMS
 
 SERVOJ = 11
 TICK_S = 0.008

@@ -5,13 +5,13 @@ import itertools
 import numpy as np
 
 import dual_ur10  # noqa: F401  # registers the environments
-from dual_ur10.kinematics import flange_pose
-from dual_ur10.kinematics.robot_model import TICK_S
 from dual_ur10.policies.evaluation.rollout import act
 from dual_ur10.policies.operators.takeover import HAND_BACK_S, Takeover
 from dual_ur10.sim2real.runtime.runner import least_latency_ticks
 from dual_ur10.testing import VirtualCell
 from tests.policies.operators.hands import Hand, operator_of, twist
+from ur_core.kinematics import flange_pose
+from ur_core.kinematics.robot_model import TICK_S
 from ur_emulator.controller import Controller
 
 RATE_HZ = 125.0

@@ -13,10 +13,10 @@ import pytest
 import dual_ur10  # noqa: F401  # registers the environments
 from dual_ur10.errors import CellFaulted, SettingsError, UnknownNameError, VirtualCellError
 from dual_ur10.policies import load
-from dual_ur10.sim2real.processes.system import System
 from dual_ur10.testing import VirtualCell, check_policy
 from tests import rollout_hashes
 from tests.cli.command import run
+from ur_core.processes.system import System
 from ur_emulator.emulator import Emulator
 
 

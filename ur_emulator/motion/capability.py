@@ -10,9 +10,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from dual_ur10.kinematics.dynamics import inverse_dynamics, mass_matrix
-from dual_ur10.kinematics.robots import robot_model
-from dual_ur10.types import Array, Vector3
+from ur_core.kinematics.dynamics import inverse_dynamics, mass_matrix
+from ur_core.kinematics.robots import robot_model
+from ur_core.types import Array, Vector3
 from ur_emulator.motion.cartesian import ACCELERATION_LIMIT, SPEED_LIMIT
 from ur_emulator.motion.paths import Line
 from ur_emulator.motion.tool_kinematics import ArmKinematics, Frame, Tool

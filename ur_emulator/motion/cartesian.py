@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.errors import UnreachableError
-from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_to_matrix
-from dual_ur10.types import Array
+from ur_core.kinematics.rotations import quat_from_rotvec, quat_to_matrix
+from ur_core.types import Array
 from ur_emulator.motion.paths import Path
 from ur_emulator.motion.tool_kinematics import ArmKinematics, Frame, Tool
 from ur_emulator.motion.trajectories import (

@@ -9,8 +9,8 @@ from typing import Final
 
 import numpy as np
 
-from dual_ur10.kinematics.rotations import cross
-from dual_ur10.types import Array, constant
+from ur_core.kinematics.rotations import cross
+from ur_core.types import Array, constant
 from ur_emulator.motion.tool_kinematics import Frame
 
 # UR publishes none of these. Modest values keep a stiff contact stable at 8 ms.

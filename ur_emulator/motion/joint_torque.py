@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from dual_ur10.errors import MotionError
-from dual_ur10.kinematics.robots import robot_model
-from dual_ur10.types import Array
+from ur_core.kinematics.robots import robot_model
+from ur_core.types import Array
 from ur_emulator.motion.arguments import six
 from ur_emulator.motion.trajectories import Trajectory
 

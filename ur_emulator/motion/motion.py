@@ -9,9 +9,9 @@ from typing import Any, Final
 import numpy as np
 
 from dual_ur10.errors import MotionError
-from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD
-from dual_ur10.sim2real.control.servoj import GAIN_RANGE, LOOKAHEAD_RANGE_S
-from dual_ur10.types import Array
+from ur_core.kinematics.ur10 import JOINT_RANGE_RAD
+from ur_core.servoj import GAIN_RANGE, LOOKAHEAD_RANGE_S
+from ur_core.types import Array
 from ur_emulator.motion.arguments import checked_frame, not_negative, number, positive, six
 from ur_emulator.motion.cartesian import (
     ACCELERATION_LIMIT,

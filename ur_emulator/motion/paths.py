@@ -8,8 +8,8 @@ from typing import Final, Protocol
 import numpy as np
 
 from dual_ur10.errors import MotionError
-from dual_ur10.kinematics.rotations import cross
-from dual_ur10.types import Array
+from ur_core.kinematics.rotations import cross
+from ur_core.types import Array
 from ur_emulator.motion.tool_kinematics import Frame, rotvec_of
 
 _STRAIGHT: Final = 1e-6  # sine of the angle at the start below which three points are on a line

@@ -9,9 +9,9 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.errors import MotionError, UnreachableError
-from dual_ur10.kinematics.robots import robot_model
-from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD, DHParameters
-from dual_ur10.types import Array, constant
+from ur_core.kinematics.robots import robot_model
+from ur_core.kinematics.ur10 import JOINT_RANGE_RAD, DHParameters
+from ur_core.types import Array, constant
 from ur_emulator.motion.cartesian import PoseBlend
 from ur_emulator.motion.compliance import SPEED_CAP, TIME_CONSTANT_S, Compliance
 from ur_emulator.motion.joint_torque import JointTorques

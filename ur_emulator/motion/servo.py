@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from dual_ur10.sim2real.control.servoj import ServojLaw
-from dual_ur10.types import Array
+from ur_core.servoj import ServojLaw
+from ur_core.types import Array
 from ur_emulator.motion.trajectories import Trajectory
 
 _MAX_KEPT: Final = 256  # discretisations; a ramp of the time scaling needs one per tick

@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dual_ur10.kinematics.forward import flange_pose, pose_and_jacobian
-from dual_ur10.kinematics.inverse import try_nearest
-from dual_ur10.kinematics.rotations import cross
-from dual_ur10.kinematics.ur10 import DHParameters
-from dual_ur10.types import Array
+from ur_core.kinematics.forward import flange_pose, pose_and_jacobian
+from ur_core.kinematics.inverse import try_nearest
+from ur_core.kinematics.rotations import cross
+from ur_core.kinematics.ur10 import DHParameters
+from ur_core.types import Array
 
 UrPose = tuple[float, ...]
 

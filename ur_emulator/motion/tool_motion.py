@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dual_ur10.errors import MotionError
-from dual_ur10.types import Array
+from ur_core.types import Array
 from ur_emulator.motion.arguments import checked_frame, number, six
 from ur_emulator.motion.compliance import (
     FORCE_DAMPING,

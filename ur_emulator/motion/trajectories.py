@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from dual_ur10.types import Array
+from ur_core.types import Array
 
 if TYPE_CHECKING:
     from ur_emulator.motion.joint_torque import JointTorques

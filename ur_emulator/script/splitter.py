@@ -11,7 +11,7 @@ import re
 from typing import Final
 
 from dual_ur10.errors import ProtocolError
-from dual_ur10.sim2real.protocol.text_lines import refuse_http
+from ur_core.protocol.text_lines import refuse_http
 
 PROGRAM_MAX: Final = 1 << 18
 """Bytes of the longest program."""

@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from typing import Final
 
 from dual_ur10.errors import LinkError, MissingExtraError, VirtualCellError
-from dual_ur10.sim2real.links.dashboard_link import DashboardLink
-from dual_ur10.sim2real.links.rtde_link import PORT, RtdeClient, RtdeLink
-from dual_ur10.sim2real.processes.system import System
-from dual_ur10.sim2real.protocol.modes import RuntimeState
-from dual_ur10.sim2real.protocol.rtde import Kind, frame
+from ur_core.links.dashboard_link import DashboardLink
+from ur_core.links.rtde_link import PORT, RtdeClient, RtdeLink
+from ur_core.processes.system import System
+from ur_core.protocol.modes import RuntimeState
+from ur_core.protocol.rtde import Kind, frame
 from ur_emulator.emulator import Emulator, EmulatorOptions
 
 _SCRIPT_PORT: Final = 30003

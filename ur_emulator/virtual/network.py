@@ -16,7 +16,7 @@ _FIRST_PORT: Final = 50_000  # that the network chooses
 
 
 class MemoryTransport(Endpoint):
-    """End of a connection, a `dual_ur10.sim2real.processes.transport.Transport`.
+    """End of a connection, a `ur_core.processes.transport.Transport`.
 
     Args:
         scheduler: Scheduler of the actors.
@@ -100,7 +100,7 @@ class MemoryTransport(Endpoint):
 
 
 class MemoryListener(Endpoint):
-    """Listening port, a `dual_ur10.sim2real.processes.transport.Listener`."""
+    """Listening port, a `ur_core.processes.transport.Listener`."""
 
     def __init__(self, network: Network, address: tuple[str, int], group: Group, size: int) -> None:
         super().__init__(network.scheduler)

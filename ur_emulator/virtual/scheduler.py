@@ -15,7 +15,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Any, Final
 
 from dual_ur10.errors import MissingExtraError, VirtualCellError
-from dual_ur10.sim2real.processes.interrupts import interrupts_deferred
+from ur_core.processes.interrupts import interrupts_deferred
 
 try:
     from greenlet import GreenletExit as GreenletExit
@@ -341,7 +341,7 @@ def _ready(scheduler: Scheduler, readers: Sequence[int], writers: Sequence[int])
 
 
 class VirtualEvent:
-    """See `dual_ur10.sim2real.processes.system.Event`."""
+    """See `ur_core.processes.system.Event`."""
 
     def __init__(self, scheduler: Scheduler) -> None:
         self._scheduler = scheduler

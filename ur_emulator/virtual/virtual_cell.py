@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any, Self
 
 from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError, VirtualCellError
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.config.cell_file import VIRTUAL, CellFile
-from dual_ur10.sim2real.links.json_link import JsonLink
+from dual_ur10.sim2real.peripherals.json_link import JsonLink
 from dual_ur10.sim2real.runtime.latch import Fault, Latch
+from ur_core.kinematics.ur10 import ARMS
 from ur_emulator.cell_requests import CellRequests
 from ur_emulator.emulator import Emulator, EmulatorOptions, cell_of
 from ur_emulator.virtual.control import ScriptControl, control_script

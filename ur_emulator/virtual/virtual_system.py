@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from dual_ur10.errors import VirtualCellError
-from dual_ur10.sim2real.processes.garbage import GarbageCollector, NoGarbageCollector
-from dual_ur10.sim2real.processes.remote_function import RemoteFunction
-from dual_ur10.sim2real.processes.system import System
-from dual_ur10.sim2real.processes.transport import Listener, Transport
+from ur_core.processes.garbage import GarbageCollector, NoGarbageCollector
+from ur_core.processes.remote_function import RemoteFunction
+from ur_core.processes.system import System
+from ur_core.processes.transport import Listener, Transport
 from ur_emulator.virtual.network import MemoryTransport, Network
 from ur_emulator.virtual.scheduler import (
     Actor,

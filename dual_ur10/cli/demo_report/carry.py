@@ -13,10 +13,10 @@ from dual_ur10.cli.demo_report.case import JOINT_SPEED, SUCCESS, Case, Key, Resu
 from dual_ur10.envs.tasks.sync_carry.path import MOVES
 from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings
 from dual_ur10.errors import DualUR10Error
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies.evaluation.film import Take
 from dual_ur10.policies.evaluation.rollout import Trace
 from dual_ur10.sim2real.analysis.plot_style import ARM_COLORS, INK, SOFT, capital, figure
+from ur_core.kinematics.ur10 import ARMS
 
 CARRY_ID = "DualUR10/SyncCarry-v0"
 

@@ -17,7 +17,7 @@ from dual_ur10.policies.policy import Policy
 from dual_ur10.sim2real.analysis.page import Column, Table
 from dual_ur10.sim2real.config.perturbation import Perturbation
 from dual_ur10.sim2real.control.limits import MotionLimits
-from dual_ur10.types import Array
+from ur_core.types import Array
 
 Key = tuple[int, str, str]
 """Key frame: number of the instant, title and text."""

@@ -25,7 +25,6 @@ from dual_ur10 import policies
 from dual_ur10.cli.demo_report import carry, handover, sine
 from dual_ur10.cli.demo_report.case import Case, Result, Task, episode
 from dual_ur10.errors import DualUR10Error, MissingExtraError
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies.evaluation.film import Take
 from dual_ur10.policies.evaluation.rollout import Info
 from dual_ur10.policies.registry import provenance
@@ -36,6 +35,7 @@ from dual_ur10.sim2real.analysis.replay import RecordedPolicy, source_of
 from dual_ur10.sim2real.config.cell_file import load_cell_file
 from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.runtime.latch import Latch
+from ur_core.kinematics.ur10 import ARMS
 from ur_emulator.emulated_cell import EmulatedCell
 
 log = logging.getLogger(__name__)

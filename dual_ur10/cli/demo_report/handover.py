@@ -11,11 +11,11 @@ import numpy as np
 
 from dual_ur10.cli.demo_report.case import JOINT_SPEED, SUCCESS, Case, Key, Result, Task, figure_column
 from dual_ur10.envs.tasks.handover.task import Handover
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies.evaluation.film import Take
 from dual_ur10.sim2real.analysis.page import Column
 from dual_ur10.sim2real.analysis.plot_style import ARM_COLORS, INK, SOFT, capital, figure
-from dual_ur10.types import Array
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.types import Array
 
 HANDOVER_ID = "DualUR10/Handover-v0"
 

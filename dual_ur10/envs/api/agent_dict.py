@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from dual_ur10.envs.api.dual_arm_env import numbers_of
 from dual_ur10.envs.api.two_agents import agent_spaces, check_options
 from dual_ur10.errors import ActionError
-from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.types import Array
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.types import Array
 
 
 class AgentDictWrapper(gym.Wrapper[dict[str, Array], dict[str, NDArray[Any]], Any, Any], RecordConstructorArgs):

@@ -14,9 +14,9 @@ from dual_ur10.envs.core.core import Core, Step
 from dual_ur10.envs.core.options import DEFAULT_RATE_HZ, MOVE_TO_START, take_consent
 from dual_ur10.envs.rendering.images import RENDER_MODES
 from dual_ur10.envs.rendering.pixels import Observer, row_of
-from dual_ur10.envs.rendering.viewer import Viewer
 from dual_ur10.errors import ResetNeededError, SettingsError, UnknownNameError
-from dual_ur10.types import Array
+from ur_core.types import Array
+from ur_core.viewing.viewer import Viewer
 
 _ROW = np.zeros(1, dtype=np.intp)  # the only row
 

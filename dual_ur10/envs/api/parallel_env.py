@@ -17,8 +17,8 @@ from dual_ur10.envs.api.two_agents import AgentSplitter, agent_spaces, check_opt
 from dual_ur10.envs.core.ends import TIME
 from dual_ur10.envs.core.options import MOVE_TO_START, check_count, take_consent
 from dual_ur10.errors import ActionError, ResetNeededError
-from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.types import Array
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.types import Array
 
 if TYPE_CHECKING:
     from dual_ur10.envs.core.core import Agents, Core, Step

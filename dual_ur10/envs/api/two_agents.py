@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 from gymnasium import spaces
 
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.types import Array
+from ur_core.types import Array
 
 if TYPE_CHECKING:
     from dual_ur10.envs.core.core import Core

@@ -17,7 +17,7 @@ from dual_ur10.envs.core.ends import TIME
 from dual_ur10.envs.core.options import DEFAULT_RATE_HZ, MOVE_TO_START, check_count, take_consent
 from dual_ur10.envs.rendering.pixels import Observer, row_of
 from dual_ur10.errors import ResetNeededError, SettingsError, UnknownNameError
-from dual_ur10.types import Array, Mask, Rows
+from ur_core.types import Array, Mask, Rows
 
 
 class DualArmVectorEnv(VectorEnv[Any, Array, Array]):

@@ -11,7 +11,7 @@ from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.sim2real.config.cell import CellRequest, CellState, CellStep
 from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.control.clearance import Clearance
-from dual_ur10.types import Array, Mask
+from ur_core.types import Array, Mask
 
 RECORDING: Final = "dual_ur10.sim2real.recording.of_env"
 """Module that records runs. It loads only when there is something to record."""

@@ -30,8 +30,6 @@ from dual_ur10.errors import (
     ResetNeededError,
     TaskError,
 )
-from dual_ur10.ids import load_object
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import Cell, CellConfig, CellState, CellStep
 from dual_ur10.sim2real.config.cell_kinds import make_cell
 from dual_ur10.sim2real.control.adapter import Command
@@ -39,7 +37,9 @@ from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate, Verdict
 from dual_ur10.sim2real.control.pipeline import ServojPipeline
 from dual_ur10.sim2real.control.proximity import ProximityScaling
-from dual_ur10.types import Array, Mask, Rows
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.objects import load_object
+from ur_core.types import Array, Mask, Rows
 
 log = logging.getLogger(__name__)
 

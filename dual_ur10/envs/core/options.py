@@ -12,11 +12,11 @@ from typing import Any, Final, Literal, get_args
 import numpy as np
 
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.kinematics.robots import robot_model
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.control.adapter import ActionMode, ActionScale, scale_of_steps
 from dual_ur10.sim2real.control.command_queue import checked_latency
+from ur_core.kinematics.robots import robot_model
+from ur_core.kinematics.ur10 import ARMS
 
 DEFAULT_RATE_HZ = 25.0
 
@@ -46,7 +46,7 @@ class EnvOptions:
             `dual_ur10.sim2real.config.cell.CellConfig`; or, for two controllers, the path of a cell file or a
             `dual_ur10.testing.VirtualCell`.
         robot: Model of both arms, such as "ur5e", or of the left and the right one; see
-            `dual_ur10.kinematics.robots.ROBOTS`. A shorter arm stands nearer to the workspace. None: two UR10s, or
+            `ur_core.kinematics.robots.ROBOTS`. A shorter arm stands nearer to the workspace. None: two UR10s, or
             those of `cell`.
         policy_rate_hz: Actions per second. The period must be a whole number of controller ticks (8 ms on a CB3).
         action_mode: "joint_delta", "joint_position" or "tcp_delta"; see

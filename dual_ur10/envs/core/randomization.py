@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.types import Array
+from ur_core.types import Array
 
 JOINT_FRICTION_NM: Final = (5.0, 5.0, 3.0, 1.0, 1.0, 1.0)
 """Coulomb friction of the joints at `joint_friction` 1: that of `dual_ur10.TYPICAL_PERTURBATION`."""

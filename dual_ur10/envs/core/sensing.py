@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from dual_ur10.envs.core.randomization import Randomization
-from dual_ur10.kinematics.frames import Frames
-from dual_ur10.kinematics.poses import Poses
-from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply
 from dual_ur10.sim2real.config.cell import CellConfig, CellState
-from dual_ur10.types import Array, Rows
+from ur_core.kinematics.frames import Frames
+from ur_core.kinematics.poses import Poses
+from ur_core.kinematics.rotations import quat_from_rotvec, quat_multiply
+from ur_core.types import Array, Rows
 
 _AGING = ("q_rad", "qd_rad_s", "flange_base_m", "flange_m", "gripper_m", "wrench")
 _TURNING = ("flange_base_quat", "flange_quat")

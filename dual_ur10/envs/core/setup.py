@@ -13,13 +13,14 @@ from dual_ur10.envs.core.options import MOVE_TO_START, OPTION_NAMES, EnvOptions
 from dual_ur10.envs.core.randomization import Randomization, resolve_randomization
 from dual_ur10.envs.tasks.task import SceneRequirements, Task, Timing
 from dual_ur10.errors import ResetRefusedError, SettingsError, UnknownKeywordError, UnknownNameError
-from dual_ur10.ids import TASKS, env_id_of, load_object
+from dual_ur10.ids import TASKS, env_id_of
 from dual_ur10.sim2real.config.cell import CellConfig, HostedCell
 from dual_ur10.sim2real.config.named_cell import resolve_cell
 from dual_ur10.sim2real.config.perturbation import Perturbation
 from dual_ur10.sim2real.control.adapter import ServojAdapter, scale_of_steps
 from dual_ur10.sim2real.control.limits import MotionLimits
-from dual_ur10.sim2real.processes.system import LOCAL, System
+from ur_core.objects import load_object
+from ur_core.processes.system import LOCAL, System
 
 REFUSAL: Final = "refusal"
 """Reward term of a step in which the safety gate refuses a motion, and none in the step before."""

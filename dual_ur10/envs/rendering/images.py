@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.assets.visuals import CAMERAS
-from dual_ur10.envs.rendering.viewer import Viewer, has_display
 from dual_ur10.errors import RenderError, SettingsError, UnknownNameError
+from ur_core.viewing.viewer import Viewer, has_display
 
 RENDER_MODES = ("rgb_array", "human")
 

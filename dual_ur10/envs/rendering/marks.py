@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from dual_ur10.types import Array
+from ur_core.types import Array
 
 ARM_RGB: Final = ((0, 114, 178), (213, 94, 0))
 """Colours of the left and the right arm, of Okabe and Ito's, which colour-blind readers can tell apart."""

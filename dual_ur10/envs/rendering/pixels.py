@@ -16,7 +16,7 @@ from dual_ur10.assets.visuals import cameras
 from dual_ur10.envs.core.core import Core
 from dual_ur10.envs.rendering.images import Canvas, Renderer
 from dual_ur10.errors import RateError, UnknownNameError
-from dual_ur10.types import Array, Rows
+from ur_core.types import Array, Rows
 
 Images = dict[str, NDArray[np.uint8]]
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.errors import DualUR10Error, MissingExtraError, SettingsError
-from dual_ur10.files import check_target
+from ur_core.files import check_target
 
 FPS: Final = {".mp4": 25.0, ".gif": 12.5}
 """Frames per second of each kind of file, by its suffix. GIF has hundredths of a second, and no motion prediction."""

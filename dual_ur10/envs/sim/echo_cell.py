@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from dual_ur10.assets.tool import strokes_m
 from dual_ur10.envs.sim.servo_reference import Motion, ServojReference
 from dual_ur10.errors import ClosedError, SettingsError
 from dual_ur10.sim2real.config.cell import CellConfig, CellRequest, CellState, CellStep, Start, TickTrace
@@ -15,7 +14,8 @@ from dual_ur10.sim2real.config.mirror_model import MirrorModel
 from dual_ur10.sim2real.config.perturbation import Perturbation
 from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.control.command_queue import CommandQueue
-from dual_ur10.types import Array, Rows
+from ur_core.tools.tool import strokes_m
+from ur_core.types import Array, Rows
 
 
 class EchoCell:

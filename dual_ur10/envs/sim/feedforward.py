@@ -8,13 +8,13 @@ from typing import Any, Final
 import numpy as np
 
 from dual_ur10.assets.collision_model import build_collision_model
-from dual_ur10.assets.gains import gains_of
 from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.envs.sim.servo_reference import Motion
-from dual_ur10.kernel import RowLoop, Struct
-from dual_ur10.kinematics.rotations import quat_to_matrix
-from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.types import Array
+from ur_core.kernel import RowLoop, Struct
+from ur_core.kinematics.rotations import quat_to_matrix
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.mjcf.gains import gains_of
+from ur_core.types import Array
 
 GRAVITY_M_S2: Final = 9.81
 

@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 from dual_ur10.assets.prop import Prop
 from dual_ur10.assets.scene import sensor_slices
 from dual_ur10.assets.settings import SceneSettings
-from dual_ur10.assets.tool import Tool, strokes_m
 from dual_ur10.envs.sim.feedforward import GRAVITY_M_S2
 from dual_ur10.errors import ActionError, UnknownNameError
-from dual_ur10.kernel import RowLoop, Struct
-from dual_ur10.kinematics.frames import to_base
-from dual_ur10.kinematics.poses import Poses
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import CellConfig, Start
-from dual_ur10.types import Array, Rows
+from ur_core.kernel import RowLoop, Struct
+from ur_core.kinematics.frames import to_base
+from ur_core.kinematics.poses import Poses
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.tools.tool import Tool, strokes_m
+from ur_core.types import Array, Rows
 
 _SLACK = 1.5  # of the lead of the servo's reference that full force needs
 

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from dual_ur10.assets.tool import strokes_m
 from dual_ur10.envs.sim.physics import Physics
 from dual_ur10.envs.sim.servo_reference import Motion, ServojReference, TargetDelay, TimeScaledTargets
 from dual_ur10.errors import ClosedError, SettingsError
 from dual_ur10.sim2real.config.cell import CellConfig, CellRequest, CellStep, Start, TickTrace
 from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.control.command_queue import CommandQueue
-from dual_ur10.types import Array, Rows
+from ur_core.tools.tool import strokes_m
+from ur_core.types import Array, Rows
 
 
 class MujocoCell:

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 
 from dual_ur10.assets.scene import build_model
-from dual_ur10.assets.torque_control import TorqueControl, Torques
 from dual_ur10.envs.sim.feedforward import FeedForward
 from dual_ur10.envs.sim.handling import NOT_HANDLED, Handling, Props
 from dual_ur10.envs.sim.plant import Plant
 from dual_ur10.envs.sim.servo_reference import Motion
 from dual_ur10.errors import ClosedError, SettingsError
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start, check_start
-from dual_ur10.types import Array, Rows
+from ur_core.mjcf.torque_control import TorqueControl, Torques
+from ur_core.types import Array, Rows
 
 # Attributes that hold MuJoCo's memory: not pickled, and built anew.
 _LIVE = (

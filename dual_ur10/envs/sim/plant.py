@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from dual_ur10.assets.settings import SceneSettings
-from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply, quat_to_matrix
-from dual_ur10.kinematics.ur10 import ARMS, LINKS
 from dual_ur10.sim2real.config.perturbation import Perturbation
-from dual_ur10.types import Array, Rows
+from ur_core.kinematics.rotations import quat_from_rotvec, quat_multiply, quat_to_matrix
+from ur_core.kinematics.ur10 import ARMS, LINKS
+from ur_core.types import Array, Rows
 
 _MASSES = ("mass_scale", "payload_kg", "declared_payload_kg")
 

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.kernel import RowLoop, Struct
-from dual_ur10.sim2real.control.servoj import ServojLaw, ServojProfile
-from dual_ur10.types import Array, Rows
+from ur_core.kernel import RowLoop, Struct
+from ur_core.servoj import ServojLaw, ServojProfile
+from ur_core.types import Array, Rows
 
 _MOST_KEPT_BYTES = 2**25  # discretisations of the law
 

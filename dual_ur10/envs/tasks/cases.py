@@ -13,7 +13,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from dual_ur10.types import Array
+from ur_core.types import Array
 
 CaseT = TypeVar("CaseT", bound=tuple[Any, ...])
 DecisionT = TypeVar("DecisionT", bound=tuple[Any, ...])

@@ -16,15 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.assets.settings import DEFAULT_TOOLS
-from dual_ur10.assets.tool import Tool, levers_m, strokes_m
 from dual_ur10.errors import SettingsError
-from dual_ur10.kernel import RowLoop, Struct
-from dual_ur10.kinematics.forward import links
-from dual_ur10.kinematics.frames import ArmMount, Frames
-from dual_ur10.kinematics.poses import Poses, yaw_quat
-from dual_ur10.kinematics.rotations import quat_to_matrix, rotate
-from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.types import Array, Mask
+from ur_core.kernel import RowLoop, Struct
+from ur_core.kinematics.forward import links
+from ur_core.kinematics.frames import ArmMount, Frames
+from ur_core.kinematics.poses import Poses, yaw_quat
+from ur_core.kinematics.rotations import quat_to_matrix, rotate
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.tools.tool import Tool, levers_m, strokes_m
+from ur_core.types import Array, Mask
 
 APPROACH_M: Final = 0.1
 """Length of the straight approach of a tool to its grip."""

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from dual_ur10.envs.tasks.geometry import NEAR, NEAR_M, Nearby, ToolSteps
 from dual_ur10.envs.tasks.observation_layout import Field
-from dual_ur10.types import Array, Mask
+from ur_core.types import Array, Mask
 
 _STEP: Final = f"saturated: x / ({NEAR_M:g} m + abs(x))"
 _TURN: Final = f"saturated: x / ({NEAR:g} + abs(x))"

@@ -11,7 +11,6 @@ from typing import Any, ClassVar, Generic, NamedTuple
 import numpy as np
 
 from dual_ur10.assets.prop_part import PropPart
-from dual_ur10.assets.tool import strokes_m
 from dual_ur10.envs.tasks.geometry import KEEP, Goal, GoalSteps, Grasped, Grasps, required
 from dual_ur10.envs.tasks.goal_fields import GOAL_FIELDS, goal_values, gripper_values
 from dual_ur10.envs.tasks.observation_layout import (
@@ -28,10 +27,11 @@ from dual_ur10.envs.tasks.observation_layout import (
 from dual_ur10.envs.tasks.staged import NowT, StagedTask
 from dual_ur10.envs.tasks.task import SettingsT, Timing
 from dual_ur10.errors import SettingsError
-from dual_ur10.kinematics.frames import Frames
-from dual_ur10.kinematics.poses import Poses
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
-from dual_ur10.types import Array, Rows
+from ur_core.kinematics.frames import Frames
+from ur_core.kinematics.poses import Poses
+from ur_core.tools.tool import strokes_m
+from ur_core.types import Array, Rows
 
 
 class Grip(NamedTuple):

@@ -9,9 +9,9 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.errors import ActionError, SettingsError, UnknownNameError
-from dual_ur10.kinematics.poses import Poses
 from dual_ur10.sim2real.config.cell import CellState
-from dual_ur10.types import Array, Single, constant
+from ur_core.kinematics.poses import Poses
+from ur_core.types import Array, Single, constant
 
 
 @dataclass(frozen=True)

@@ -10,14 +10,14 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar, cast
 
 import numpy as np
 
-from dual_ur10.assets.gains import STIFF, Gains
 from dual_ur10.assets.settings import Equipment, home_q_rad
-from dual_ur10.assets.tool import strokes_m
 from dual_ur10.envs.tasks.observation_layout import ConciseView, ObservationLayout
 from dual_ur10.errors import SettingsError
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.control.limits import MotionLimits
-from dual_ur10.types import Array, Mask, Rows, changed
+from ur_core.mjcf.gains import STIFF, Gains
+from ur_core.tools.tool import strokes_m
+from ur_core.types import Array, Mask, Rows, changed
 
 
 class Outcome(NamedTuple):

@@ -1,6 +1,6 @@
 """Accuracy of a recorded episode.
 
-Flange poses are computed from the joint positions with `dual_ur10.kinematics`, not taken from the simulator: a site
+Flange poses are computed from the joint positions with `ur_core.kinematics`, not taken from the simulator: a site
 that is one physics step old would add 0.6 mm at the sine's speed. Speeds are central differences of positions one
 policy period apart: they contain no frequency above half the policy's rate.
 """
@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from dual_ur10.envs.tasks.sine_tracking.settings import TOOL_DOWN_QUAT
 from dual_ur10.errors import SettingsError
-from dual_ur10.kinematics import flange_pose
-from dual_ur10.kinematics.frames import to_base
-from dual_ur10.kinematics.rotations import quat_to_matrix
 from dual_ur10.policies.evaluation.cross_correlation import cross_correlation, peak_delay
 from dual_ur10.policies.evaluation.rollout import Record
-from dual_ur10.types import Array
+from ur_core.kinematics import flange_pose
+from ur_core.kinematics.frames import to_base
+from ur_core.kinematics.rotations import quat_to_matrix
+from ur_core.types import Array
 
 _MOST_PERIODS = 5  # largest delay considered
 _STILL_M = 1e-6  # a reference that moves less counts as static

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from dual_ur10.types import Array
+from ur_core.types import Array
 
 
 def cross_correlation(late: Array, early: Array, most: int, *, constant: float = math.nan) -> Array:

@@ -18,7 +18,6 @@ from dual_ur10.envs.core.ends import details_of, early_end
 from dual_ur10.envs.core.options import AS_ON_CONTROLLERS, MOVE_TO_START
 from dual_ur10.errors import DualUR10Error, ResetRefusedError, SettingsError
 from dual_ur10.ids import __version__
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies.baselines import RandomPolicy, ZeroPolicy
 from dual_ur10.policies.evaluation.results import Episode, Evaluation
 from dual_ur10.policies.evaluation.rollout import act
@@ -33,7 +32,8 @@ from dual_ur10.policies.registry import (
     provenance,
     wrong_types_named,
 )
-from dual_ur10.types import Array, Mask
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.types import Array, Mask
 
 UNITS = ("_m", "_rad", "_n", "_s")
 """Endings of the names of values in `info` whose largest and last value an episode keeps."""

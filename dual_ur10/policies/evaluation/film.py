@@ -21,10 +21,10 @@ from dual_ur10.envs.rendering.images import Canvas, check_size
 from dual_ur10.envs.rendering.marks import ARM_RGB, Marks, describe
 from dual_ur10.envs.rendering.video_file import VideoFile
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies.evaluation.rollout import Info, act
 from dual_ur10.policies.policy import Policy, as_policy
-from dual_ur10.types import Array
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.types import Array
 
 Picture = NDArray[np.uint8]
 

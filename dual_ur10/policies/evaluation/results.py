@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dual_ur10.errors import SettingsError
-from dual_ur10.files import write_text
+from ur_core.files import write_text
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -11,9 +11,9 @@ import numpy as np
 from dual_ur10.envs.core.ends import early_end
 from dual_ur10.envs.core.options import MOVE_TO_START
 from dual_ur10.errors import SettingsError
-from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.policies.policy import Commanded, Policy, as_policy
-from dual_ur10.types import Array
+from ur_core.kinematics.frames import ArmMount
+from ur_core.types import Array
 
 Info = Mapping[str, Any]
 

@@ -34,7 +34,6 @@ from dual_ur10.assets.settings import Equipment
 from dual_ur10.envs.core.options import EnvOptions
 from dual_ur10.envs.core.randomization import PRESETS, Randomization, resolve_randomization
 from dual_ur10.errors import CheckpointError
-from dual_ur10.files import sync_folder
 from dual_ur10.ids import __version__, env_id_of, received
 from dual_ur10.policies.learned import schema
 from dual_ur10.policies.learned.learned_policy import LearnedPolicy
@@ -49,6 +48,7 @@ from dual_ur10.policies.learned.signature import (
     view_of_signature,
 )
 from dual_ur10.sim2real.control.adapter import scale_of_steps
+from ur_core.files import sync_folder
 
 log = logging.getLogger(__name__)
 

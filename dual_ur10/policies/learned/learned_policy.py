@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.errors import ActionError, UnknownNameError
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies.learned.manifest import Manifest
 from dual_ur10.policies.learned.network import Layer, Network
-from dual_ur10.types import Array
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.types import Array
 
 Actions = NDArray[Any]
 

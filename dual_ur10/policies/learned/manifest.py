@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Final, Literal
 
 from dual_ur10.errors import CheckpointError, DualUR10Error
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies.learned import schema
 from dual_ur10.policies.learned.network import NetworkShape, Normaliser
 from dual_ur10.policies.learned.schema import JsonList, Object, StrictJson, Text, Whole
 from dual_ur10.policies.learned.signature import EnvironmentSignature
 from dual_ur10.sim2real.recording.header import plain
 from dual_ur10.sim2real.recording.header import versions as installed
+from ur_core.kinematics.ur10 import ARMS
 
 FORMAT: Final = "dual-ur10 policy 1"
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from dual_ur10.errors import CheckpointError
 from dual_ur10.policies.learned.schema import Numbers, StrictJson, Wholes
-from dual_ur10.types import Array, Single
+from ur_core.types import Array, Single
 
 Layer = tuple[Single, Single]
 """Weight, (out, in), and bias, (out,): as PyTorch has them."""

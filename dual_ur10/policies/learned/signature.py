@@ -12,21 +12,21 @@ from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 
-from dual_ur10.assets.tool import tools_of
 from dual_ur10.envs.core.options import EnvOptions
 from dual_ur10.envs.core.randomization import Randomization, resolve_randomization
 from dual_ur10.envs.core.setup import EnvSetup, load_task
 from dual_ur10.envs.tasks.task import Task
 from dual_ur10.errors import CheckpointError
 from dual_ur10.ids import TASKS, is_registered, received
-from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.robots import ROBOTS
-from dual_ur10.kinematics.ur10 import ARMS, Family
 from dual_ur10.policies.learned.schema import JsonList, Numbers, Object, StrictJson, Text, Whole
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.control.adapter import ActionMode, ServojAdapter
-from dual_ur10.sim2real.control.servoj import ServojProfile
 from dual_ur10.sim2real.recording.header import built, field_types, plain
+from ur_core.kinematics.frames import ArmMount
+from ur_core.kinematics.robots import ROBOTS
+from ur_core.kinematics.ur10 import ARMS, Family
+from ur_core.servoj import ServojProfile
+from ur_core.tools.tool import tools_of
 
 OPTIONS: Final = (
     "policy_rate_hz",
@@ -116,7 +116,7 @@ class Robot(StrictJson):
         lookahead_s, gain: Settings of `servoj`.
         nominal_dh: For left and right, True for the kinematics of the data sheet, False for calibrated ones.
         bases: Poses of the left and the right base in the cell frame, six numbers each: position in m, yaw and tilt in
-            rad, as of `dual_ur10.kinematics.frames.ArmMount`.
+            rad, as of `ur_core.kinematics.frames.ArmMount`.
         tools: Names of the left and the right tool; empty for a task without grippers.
     """
 
@@ -143,7 +143,7 @@ class Robot(StrictJson):
 
     @property
     def names(self) -> tuple[str, str]:
-        """Names of both models in `dual_ur10.kinematics.robots.ROBOTS`.
+        """Names of both models in `ur_core.kinematics.robots.ROBOTS`.
 
         Raises:
             CheckpointError: One is none of them.

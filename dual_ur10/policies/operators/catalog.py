@@ -15,13 +15,13 @@ from typing import Any, Final
 
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError
-from dual_ur10.ids import load_object
 from dual_ur10.policies.operators.device import Device
 from dual_ur10.policies.operators.keyboard import Keyboard, WithKeys
 from dual_ur10.policies.operators.mapping import Mapping
 from dual_ur10.policies.operators.operator import Operator
 from dual_ur10.policies.operators.page import PageDevice
 from dual_ur10.policies.registry import arguments_of
+from ur_core.objects import load_object
 
 _HERE: Final = "dual_ur10.policies.operators"
 

@@ -12,7 +12,7 @@ import numpy as np
 from dual_ur10.envs.rendering.live.buttons import EPISODES, TAKES
 from dual_ur10.errors import DeviceGarbageError
 from dual_ur10.sim2real.control.adapter import TCP_ROTATION_RAD_S, TCP_STEP_M_S
-from dual_ur10.types import Array, Mask, constant
+from ur_core.types import Array, Mask, constant
 
 FULL_TWIST: Final = constant([TCP_STEP_M_S] * 3 + [TCP_ROTATION_RAD_S] * 3)
 """(6,) m/s and rad/s of a device at full deflection: those of action 1 of `tcp_delta`."""

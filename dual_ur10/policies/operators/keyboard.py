@@ -20,7 +20,7 @@ from dual_ur10.policies.operators import sdl as _sdl
 from dual_ur10.policies.operators.device import FULL_TWIST, Device, Reading
 from dual_ur10.policies.operators.hands import unplugged
 from dual_ur10.policies.operators.terminal_keys import TerminalKeys
-from dual_ur10.types import Array
+from ur_core.types import Array
 
 MOTIONS: Final = {
     "w": (0, 1.0),

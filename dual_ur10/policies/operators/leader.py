@@ -31,7 +31,7 @@ from dual_ur10.policies.operators.dynamixel import (
     position_request,
 )
 from dual_ur10.policies.operators.hands import denied, paths_of, unplugged
-from dual_ur10.types import Array
+from ur_core.types import Array
 
 UDEV_RULE: Final = 'SUBSYSTEM=="tty", ATTRS{idVendor}=="0403", ATTRS{idProduct}=="6014", MODE="0660", TAG+="uaccess"'
 """Rule of udev that permits the person at the screen to open the U2D2 adapter of a leader."""

@@ -11,7 +11,7 @@ import numpy as np
 from dual_ur10.envs.tasks.task import check_numbers
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.policies.operators.device import FULL_TWIST
-from dual_ur10.types import Array, constant
+from ur_core.types import Array, constant
 
 Frame = Literal["cell", "base", "tool"]
 Arms = Literal["both", "left", "right", "mirrored", "held"]

@@ -12,7 +12,6 @@ from typing import Any, Final, get_args
 import numpy as np
 
 from dual_ur10.assets.settings import DEFAULT_TOOLS, SceneSettings
-from dual_ur10.assets.tool import Tool, levers_m
 from dual_ur10.envs.tasks.observation_layout import ARM_FIELDS, ConciseView, ObservationLayout
 from dual_ur10.envs.tasks.task import Timing
 from dual_ur10.errors import (
@@ -23,10 +22,15 @@ from dual_ur10.errors import (
     StopPressedError,
     UnknownNameError,
 )
-from dual_ur10.kinematics import flange_pose_quat, try_nearest
-from dual_ur10.kinematics.frames import ArmMount, Frames
-from dual_ur10.kinematics.poses import Poses, compose, relative_to
-from dual_ur10.kinematics.rotations import (
+from dual_ur10.policies.operators.device import FULL_TWIST, LOST_S, SILENT_S, Device, Reading, checked
+from dual_ur10.policies.operators.mapping import MIRRORED, Mapping
+from dual_ur10.sim2real.control.adapter import JOINT_MARGIN_RAD, ActionMode, ActionScale, scale_of_steps
+from dual_ur10.sim2real.control.cartesian_step import fraction_of_step, goal_of_step
+from dual_ur10.sim2real.control.limits import MotionLimits
+from ur_core.kinematics import flange_pose_quat, try_nearest
+from ur_core.kinematics.frames import ArmMount, Frames
+from ur_core.kinematics.poses import Poses, compose, relative_to
+from ur_core.kinematics.rotations import (
     quat_conjugate,
     quat_from_rotvec,
     quat_multiply,
@@ -34,13 +38,9 @@ from dual_ur10.kinematics.rotations import (
     quat_to_rotvec,
     rotate,
 )
-from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.policies.operators.device import FULL_TWIST, LOST_S, SILENT_S, Device, Reading, checked
-from dual_ur10.policies.operators.mapping import MIRRORED, Mapping
-from dual_ur10.sim2real.control.adapter import JOINT_MARGIN_RAD, ActionMode, ActionScale, scale_of_steps
-from dual_ur10.sim2real.control.cartesian_step import fraction_of_step, goal_of_step
-from dual_ur10.sim2real.control.limits import MotionLimits
-from dual_ur10.types import Array, Mask
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.tools.tool import Tool, levers_m
+from ur_core.types import Array, Mask
 
 JOINED_WITHIN_RAD: Final = 0.6
 """Largest distance of a leader's joint from that of its arm at which they are joined."""

@@ -15,7 +15,7 @@ from dual_ur10.envs.rendering.live.guard import PORT
 from dual_ur10.envs.rendering.live.live_page import LivePage
 from dual_ur10.errors import DeviceUnpluggedError, SettingsError, UnknownNameError
 from dual_ur10.policies.operators.device import Reading
-from dual_ur10.sim2real.processes.system import LOCAL, System
+from ur_core.processes.system import LOCAL, System
 
 CAMERAS: Final = "front"
 """Camera that a page shows by default."""

@@ -15,7 +15,7 @@ import numpy as np
 from dual_ur10.errors import DeviceAbsentError, DeviceGarbageError
 from dual_ur10.policies.operators.device import FULL_TWIST, Reading
 from dual_ur10.policies.operators.hands import open_path, paths_of, unplugged
-from dual_ur10.types import Array
+from ur_core.types import Array
 
 UDEV_RULE: Final = (
     'SUBSYSTEM=="hidraw", ATTRS{idVendor}=="256f|046d", ATTRS{idProduct}=="c6*", MODE="0660", TAG+="uaccess"'

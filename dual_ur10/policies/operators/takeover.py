@@ -7,10 +7,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies.operators.operator import Operator
 from dual_ur10.policies.policy import Policy, as_policy
-from dual_ur10.types import Array, Mask
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.types import Array, Mask
 
 TAKE_S, HAND_BACK_S = 0.2, 0.3
 """Times in which an arm passes from its last motion to that of the hand, and to that of the policy.

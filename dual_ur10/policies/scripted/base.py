@@ -9,15 +9,15 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from dual_ur10.assets.settings import DEFAULT_TOOLS, SceneSettings
-from dual_ur10.assets.tool import Tool, levers_m
 from dual_ur10.envs.tasks.task import Task, Timing
 from dual_ur10.errors import ActionError, SettingsError
-from dual_ur10.kinematics import nearest
-from dual_ur10.kinematics.frames import ArmMount, Frames
-from dual_ur10.kinematics.poses import Poses
-from dual_ur10.kinematics.rotations import quat_to_matrix
 from dual_ur10.sim2real.control.limits import MotionLimits
-from dual_ur10.types import Array, Rows, changed
+from ur_core.kinematics import nearest
+from ur_core.kinematics.frames import ArmMount, Frames
+from ur_core.kinematics.poses import Poses
+from ur_core.kinematics.rotations import quat_to_matrix
+from ur_core.tools.tool import Tool, levers_m
+from ur_core.types import Array, Rows, changed
 
 
 class ScriptedPolicy:

@@ -9,7 +9,7 @@ import numpy as np
 from ruckig import InputParameter, Result, Ruckig, RuckigError, Trajectory  # type: ignore[import-not-found, unused-ignore]  # no types
 
 from dual_ur10.errors import SettingsError
-from dual_ur10.types import Array
+from ur_core.types import Array
 
 _SAMPLES = 7  # of a mean over time
 

@@ -11,7 +11,7 @@ from dual_ur10.envs.tasks.sync_carry.task import SyncCarry
 from dual_ur10.envs.tasks.task import Timing
 from dual_ur10.errors import UnknownNameError
 from dual_ur10.sim2real.control.adapter import TCP_ROTATION_RAD_S, TCP_STEP_M_S, ActionScale, scale_of_steps
-from dual_ur10.types import Array, changed
+from ur_core.types import Array, changed
 
 _RATIO: Final = 0.3  # of the step that is left, in each period
 

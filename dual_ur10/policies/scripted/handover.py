@@ -10,7 +10,6 @@ import numpy as np
 
 from dual_ur10.assets.props import BLOCK_SIZE_M
 from dual_ur10.assets.settings import DEFAULT_TOOLS
-from dual_ur10.assets.tool import Tool, strokes_m
 from dual_ur10.envs.tasks.geometry import LEARNERS_ROOM_M
 from dual_ur10.envs.tasks.handover.goals import WIDTH_M
 from dual_ur10.envs.tasks.handover.settings import HandoverSettings
@@ -18,14 +17,15 @@ from dual_ur10.envs.tasks.handover.task import Handover
 from dual_ur10.envs.tasks.observation_layout import pose_of
 from dual_ur10.envs.tasks.task import Timing, duration_ratio
 from dual_ur10.errors import LostError
-from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.poses import Poses
-from dual_ur10.kinematics.rotations import rotate
 from dual_ur10.policies.scripted.base import ScriptedPolicy, on_table
 from dual_ur10.policies.scripted.free_motion import FreeMotion
 from dual_ur10.policies.scripted.handover_paths import HandoverPaths
 from dual_ur10.sim2real.control.limits import MotionLimits
-from dual_ur10.types import Array, Rows
+from ur_core.kinematics.frames import ArmMount
+from ur_core.kinematics.poses import Poses
+from ur_core.kinematics.rotations import rotate
+from ur_core.tools.tool import Tool, strokes_m
+from ur_core.types import Array, Rows
 
 Fields = Mapping[str, Array]
 """Fields of one row's observation, (2, field size) each."""

@@ -9,15 +9,15 @@ import numpy as np
 
 from dual_ur10.assets.props import BLOCK_SIZE_M
 from dual_ur10.assets.settings import DEFAULT_TOOLS, home_q_rad
-from dual_ur10.assets.tool import levers_m as tool_levers_m
 from dual_ur10.envs.tasks.geometry import APPROACH_M, flanges_of
 from dual_ur10.envs.tasks.handover.settings import GRIPS, MEETING_M, laid_quat, presented_quat
-from dual_ur10.kinematics import nearest
-from dual_ur10.kinematics.frames import ArmMount, Frames
-from dual_ur10.kinematics.poses import Poses, compose, relative_to
-from dual_ur10.kinematics.rotations import quat_to_matrix, rotate
 from dual_ur10.policies.scripted.free_motion import FreeMotion, Waypoint
-from dual_ur10.types import Array
+from ur_core.kinematics import nearest
+from ur_core.kinematics.frames import ArmMount, Frames
+from ur_core.kinematics.poses import Poses, compose, relative_to
+from ur_core.kinematics.rotations import quat_to_matrix, rotate
+from ur_core.tools.tool import levers_m as tool_levers_m
+from ur_core.types import Array
 
 _ABOVE_M: Final = 0.08  # of the passing points above the block on the table
 _APART_M: Final = 0.07  # by which both tools draw back from each other

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.types import Array
+from ur_core.types import Array
 
 _FEATURES = 4
 

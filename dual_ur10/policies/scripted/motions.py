@@ -8,15 +8,15 @@ from typing import TypeAlias
 
 import numpy as np
 
-from dual_ur10.assets.tool import levers_m
 from dual_ur10.envs.tasks.geometry import flanges_of
 from dual_ur10.envs.tasks.observation_layout import pose_of
-from dual_ur10.kinematics import flange_pose_quat
-from dual_ur10.kinematics.frames import Frames
-from dual_ur10.kinematics.poses import Poses, compose, length
-from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply, quat_to_rotvec
 from dual_ur10.policies.scripted.base import Fields, Script, Wish, on_table
-from dual_ur10.types import Array
+from ur_core.kinematics import flange_pose_quat
+from ur_core.kinematics.frames import Frames
+from ur_core.kinematics.poses import Poses, compose, length
+from ur_core.kinematics.rotations import quat_from_rotvec, quat_multiply, quat_to_rotvec
+from ur_core.tools.tool import levers_m
+from ur_core.types import Array
 
 Steps: TypeAlias = Generator[Wish, Fields, None]
 """Commands of a motion, for `yield from`."""

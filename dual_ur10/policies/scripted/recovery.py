@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.sim2real.control.limits import MotionLimits
-from dual_ur10.types import Array, Mask, Rows
+from ur_core.types import Array, Mask, Rows
 
 OFF_RAD: Final = 0.002
 """Difference between the command in force and the one given that shows a stop, or a limit that held the arms back."""

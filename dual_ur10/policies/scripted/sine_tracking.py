@@ -9,18 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.assets.settings import DEFAULT_TOOLS
-from dual_ur10.assets.tool import Tool
 from dual_ur10.envs.tasks.sine_tracking.settings import SineSettings
 from dual_ur10.envs.tasks.sine_tracking.task import SineTracking
 from dual_ur10.envs.tasks.task import Timing
-from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.poses import Poses
-from dual_ur10.kinematics.rotations import quat_multiply
 from dual_ur10.policies.scripted.base import ScriptedPolicy
 from dual_ur10.policies.scripted.lag_model import DeviationModel
 from dual_ur10.policies.scripted.recovery import Recovery
 from dual_ur10.sim2real.control.limits import MotionLimits
-from dual_ur10.types import Array, Rows
+from ur_core.kinematics.frames import ArmMount
+from ur_core.kinematics.poses import Poses
+from ur_core.kinematics.rotations import quat_multiply
+from ur_core.tools.tool import Tool
+from ur_core.types import Array, Rows
 
 _RESTART_RAD = 2e-3  # a reference so far from its prediction belongs to another episode
 _CHANGE_RAD_S3 = 5.0  # with long periods the prediction errs more: above the jerk of a sine of 0.2 rad at 0.5 Hz

@@ -9,19 +9,19 @@ import numpy as np
 
 from dual_ur10.assets.props import BAR_WIDTH_M
 from dual_ur10.assets.settings import DEFAULT_TOOLS
-from dual_ur10.assets.tool import Tool
 from dual_ur10.envs.tasks.geometry import LEARNERS_ROOM_M, flanges_of
 from dual_ur10.envs.tasks.observation_layout import pose_of
 from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings
 from dual_ur10.envs.tasks.sync_carry.task import SyncCarry
 from dual_ur10.envs.tasks.task import Timing, duration_ratio
-from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.poses import Poses, compose, relative_to
 from dual_ur10.policies.scripted.base import ScriptedPolicy, on_table
 from dual_ur10.policies.scripted.free_motion import FreeMotion, Waypoint
 from dual_ur10.policies.scripted.recovery import Recovery
 from dual_ur10.sim2real.control.limits import MotionLimits
-from dual_ur10.types import Array, Rows
+from ur_core.kinematics.frames import ArmMount
+from ur_core.kinematics.poses import Poses, compose, relative_to
+from ur_core.tools.tool import Tool
+from ur_core.types import Array, Rows
 
 _ABOVE_M: Final = 0.03  # the passing point above the grip
 _DOWN_M_S: Final = 0.04  # speed at which it is passed

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dual_ur10.envs.api.sb3_bridge import TwoAgentVecEnv
 from dual_ur10.errors import MissingExtraError
-from dual_ur10.kinematics.ur10 import ARMS
+from ur_core.kinematics.ur10 import ARMS
 
 try:
     from stable_baselines3.common.vec_env import VecEnv

@@ -28,7 +28,7 @@ from dual_ur10.policies.training.folder import initial_policy
 from dual_ur10.policies.training.imitation import Imitator
 from dual_ur10.policies.training.settings import Training, first_seed_of
 from dual_ur10.sim2real.recording.reader import read_run
-from dual_ur10.types import Mask, Single
+from ur_core.types import Mask, Single
 
 _RECORDS: Final = "episodes"  # folder of the runs
 _WRONG_S: Final = 1.0  # time before a takeover in which the policy was wrong: as long as a person takes to see it

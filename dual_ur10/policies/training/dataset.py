@@ -14,7 +14,6 @@ from dual_ur10.envs.core.ends import details_of, early_end
 from dual_ur10.envs.core.options import AS_ON_CONTROLLERS
 from dual_ur10.errors import DatasetError, DualUR10Error, MissingExtraError
 from dual_ur10.ids import env_id_of, received
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies.evaluation.evaluate import actor_of
 from dual_ur10.policies.evaluation.minari_export import to_minari
 from dual_ur10.policies.learned.signature import EnvironmentView, view_of
@@ -23,7 +22,8 @@ from dual_ur10.policies.registry import keywords_for, load_named
 from dual_ur10.policies.training.settings import check_simulated
 from dual_ur10.sim2real.recording.header import describe
 from dual_ur10.sim2real.recording.run import ArmLog, Episode, Run
-from dual_ur10.types import Single
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.types import Single
 
 _SAME: Final = ("env_id", "observation", "action", "rate", "actions", "robot")
 

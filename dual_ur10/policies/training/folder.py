@@ -29,7 +29,6 @@ import numpy as np
 from pydantic import Field
 
 from dual_ur10.errors import CheckpointError, MissingExtraError, TrainingError
-from dual_ur10.files import read_regular, write_text
 from dual_ur10.policies.evaluation.evaluate import evaluate
 from dual_ur10.policies.evaluation.results import Evaluation
 from dual_ur10.policies.learned import checkpoint, schema
@@ -44,6 +43,7 @@ from dual_ur10.policies.training.progress import Check, draw_curve
 from dual_ur10.policies.training.settings import CHECK_SEED, Imitation, Training
 from dual_ur10.policies.training.state import Tensors
 from dual_ur10.sim2real.recording.header import plain
+from ur_core.files import read_regular, write_text
 
 log = logging.getLogger(__name__)
 

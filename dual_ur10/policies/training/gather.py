@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dual_ur10 import policies
 from dual_ur10.errors import DualUR10Error
 from dual_ur10.policies.policy import Policy, Teaching
-from dual_ur10.types import Array, Mask, Single
+from ur_core.types import Array, Mask, Single
 
 # Correlation of the noise from step to step, sampled for each episode. Slow noise leads to where a learner errs to;
 # fast noise separates commanded from measured positions.

@@ -28,7 +28,7 @@ from dual_ur10.policies.training.gather import Expert, gather
 from dual_ur10.policies.training.progress import OnProgress, Progress
 from dual_ur10.policies.training.regression import Fit, Scatter, reproducible
 from dual_ur10.policies.training.settings import Imitation, first_seed_of
-from dual_ur10.types import Single
+from ur_core.types import Single
 
 _GATHER, _FIT, _INIT = range(3)  # streams of random numbers
 _SHOWN_S: Final = 0.2

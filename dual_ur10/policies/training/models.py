@@ -14,7 +14,7 @@ from dual_ur10.errors import MissingExtraError, TrainingError
 from dual_ur10.policies.learned.learned_policy import LearnedPolicy
 from dual_ur10.policies.training.settings import Reinforcement
 from dual_ur10.policies.training.state import Tensors
-from dual_ur10.types import Array
+from ur_core.types import Array
 
 try:
     import torch

@@ -14,7 +14,7 @@ import numpy as np
 from dual_ur10.errors import MissingExtraError
 from dual_ur10.policies.learned.network import Layer, NetworkShape, Normaliser
 from dual_ur10.policies.training.settings import Imitation
-from dual_ur10.types import Array, Single
+from ur_core.types import Array, Single
 
 try:
     import torch

@@ -14,7 +14,7 @@ from dual_ur10.envs.api.two_agents import RewardKind
 from dual_ur10.envs.core.options import split_keywords
 from dual_ur10.envs.tasks.goal_fields import GOAL_FIELDS
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.ids import TASKS, env_id_of, load_object
+from dual_ur10.ids import TASKS, env_id_of
 from dual_ur10.policies.learned import schema
 from dual_ur10.policies.learned.manifest import AgentsKind
 from dual_ur10.policies.learned.network import Activation
@@ -22,6 +22,7 @@ from dual_ur10.policies.learned.schema import StrictJson
 from dual_ur10.policies.learned.signature import view_of
 from dual_ur10.policies.operators.catalog import device_class
 from dual_ur10.sim2real.config.named_cell import resolve_cell
+from ur_core.objects import load_object
 
 Algorithm = Literal["ppo", "sac", "bc", "dagger"]
 IMITATION: Final = ("bc", "dagger")

@@ -16,8 +16,8 @@ from safetensors.numpy import load as _parsed
 from safetensors.numpy import save as _serialised
 
 from dual_ur10.errors import TrainingError
-from dual_ur10.files import read_regular
 from dual_ur10.policies.learned import schema
+from ur_core.files import read_regular
 
 Tensors = dict[str, NDArray[Any]]
 

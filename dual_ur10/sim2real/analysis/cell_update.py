@@ -10,10 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from dual_ur10.errors import CalibrationError, CellFileError, DualUR10Error, MissingExtraError, RecordingError
-from dual_ur10.files import check_target, write_text
 from dual_ur10.ids import received
-from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.ur10 import ARMS, DHParameters
 from dual_ur10.sim2real.analysis.fit import ArmFit
 from dual_ur10.sim2real.calibration.directions import LEVER_M
 from dual_ur10.sim2real.calibration.estimate import EXCHANGED, FAR_M, FAR_RAD, BaseEstimate
@@ -21,8 +18,11 @@ from dual_ur10.sim2real.calibration.transforms import right_in_left
 from dual_ur10.sim2real.config.cell_file import CellFile, examine_text, load_cell_file
 from dual_ur10.sim2real.config.cell_file_reference import write_new
 from dual_ur10.sim2real.config.cell_file_tables import MAX_LATENCY_S, ZERO, BaseToBase, Calibration, Measured
-from dual_ur10.sim2real.control.servoj import MEASURED_LOOKAHEAD_S
 from dual_ur10.sim2real.recording.run import Header
+from ur_core.files import check_target, write_text
+from ur_core.kinematics.frames import ArmMount
+from ur_core.kinematics.ur10 import ARMS, DHParameters
+from ur_core.servoj import MEASURED_LOOKAHEAD_S
 
 try:
     import tomlkit

@@ -10,8 +10,6 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from dual_ur10.errors import RecordingError
-from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.analysis.parity import Parity, parity
 from dual_ur10.sim2real.analysis.reconstruction import replayed_keywords
 from dual_ur10.sim2real.analysis.series import NO_SPREAD, Spread, Value, interpolate, lag, lengths, none, rising, spread
@@ -20,7 +18,9 @@ from dual_ur10.sim2real.analysis.timing import Timing, timing
 from dual_ur10.sim2real.analysis.tracks import Track, clock_error_s, flange_of, tracks
 from dual_ur10.sim2real.recording.header import mounts_of
 from dual_ur10.sim2real.recording.run import Header, Run
-from dual_ur10.types import Array
+from ur_core.kinematics.frames import ArmMount
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.types import Array
 
 Mounts = tuple[ArmMount, ArmMount]
 

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.errors import RecordingError
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.analysis.series import STILL_RAD, rising
 from dual_ur10.sim2real.analysis.tracks import Track, tracks
-from dual_ur10.sim2real.control.servoj import GAIN_RANGE, LOOKAHEAD_RANGE_S
 from dual_ur10.sim2real.recording.run import Run
-from dual_ur10.types import Array
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.servoj import GAIN_RANGE, LOOKAHEAD_RANGE_S
+from ur_core.types import Array
 
 LOOKAHEAD_S: Final = (0.005, 0.5)
 LATENCY_S: Final = (-0.05, 0.3)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.sim2real.analysis.tracks import Track
-from dual_ur10.types import Array
+from ur_core.types import Array
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 from dual_ur10.sim2real.analysis.compare import Comparison, Pair
 from dual_ur10.sim2real.analysis.plot_style import ARM_COLORS, INK, SOFT, capital, figure, legend_right
 from dual_ur10.sim2real.analysis.series import lengths
-from dual_ur10.types import Array
+from ur_core.kinematics.ur10 import ARMS, JOINTS
+from ur_core.types import Array
 
 _JOINT_COLORS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#555555")
 _AXIS_COLORS: Final = ("#D55E00", "#009E73", "#0072B2")

@@ -13,14 +13,14 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from dual_ur10.envs.core.setup import load_task
 from dual_ur10.errors import CellFileError, DualUR10Error, RecordingError, SettingsError, UnknownNameError
 from dual_ur10.ids import TASKS, is_registered, received
-from dual_ur10.kinematics.rotations import quat_conjugate, quat_multiply, quat_to_rotvec
-from dual_ur10.kinematics.ur10 import ARMS, TICK_S
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.config.cell_file import examine_text
 from dual_ur10.sim2real.config.named_cell import resolve_cell
-from dual_ur10.sim2real.control.servoj import ServojProfile
 from dual_ur10.sim2real.recording.header import built, field_types, findings, mounts_of
 from dual_ur10.sim2real.recording.run import Episode, Header, Run
+from ur_core.kinematics.rotations import quat_conjugate, quat_multiply, quat_to_rotvec
+from ur_core.kinematics.ur10 import ARMS, TICK_S
+from ur_core.servoj import ServojProfile
 
 BASE_M: Final = 0.05
 BASE_RAD: Final = 0.1

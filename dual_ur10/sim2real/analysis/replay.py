@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from dual_ur10.envs.core.ends import early_end
 from dual_ur10.envs.core.options import MOVE_TO_START
 from dual_ur10.errors import DualUR10Error, RecordingError
-from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 from dual_ur10.sim2real.analysis.parity import bits_equal
 from dual_ur10.sim2real.analysis.reconstruction import (
     check_replayable,
@@ -29,7 +28,8 @@ from dual_ur10.sim2real.config.named_cell import resolve_cell
 from dual_ur10.sim2real.recording.reader import file_of
 from dual_ur10.sim2real.recording.run import Episode, Run
 from dual_ur10.sim2real.recording.scan import open_regular
-from dual_ur10.types import Array
+from ur_core.kinematics.ur10 import ARMS, JOINTS
+from ur_core.types import Array
 
 _START_RAD: Final = 0.02  # largest distance of a start from that of the recording
 

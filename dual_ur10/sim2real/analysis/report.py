@@ -11,15 +11,15 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.errors import MissingExtraError
-from dual_ur10.files import write_text
 from dual_ur10.ids import __version__
-from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 from dual_ur10.sim2real.analysis.compare import ArmComparison, Comparison, Differences
 from dual_ur10.sim2real.analysis.page import Column, Item, Table, number, render
 from dual_ur10.sim2real.analysis.parity import Parity
 from dual_ur10.sim2real.analysis.series import NO_SPREAD, Spread
 from dual_ur10.sim2real.analysis.timing import LATE_S, MOVING_M_S, RIPPLE_WINDOW_S, ArmTiming, Timing
 from dual_ur10.sim2real.recording.run import Header
+from ur_core.files import write_text
+from ur_core.kinematics.ur10 import ARMS, JOINTS
 
 _SOURCES: Final = {
     "mujoco": "simulated in MuJoCo",

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dual_ur10.errors import MissingExtraError
 from dual_ur10.policies.evaluation.cross_correlation import cross_correlation, peak_delay
-from dual_ur10.types import Array
+from ur_core.types import Array
 
 MOST_S: Final = 0.5
 """Largest lag of the search: shorter than half a period of the tasks' slowest default sine."""

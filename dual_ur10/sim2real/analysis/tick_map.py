@@ -14,7 +14,7 @@ import numpy as np
 
 from dual_ur10.errors import RecordingError
 from dual_ur10.sim2real.recording.run import LATE, Run
-from dual_ur10.types import Array, Mask
+from ur_core.types import Array, Mask
 
 _NEAR: Final = 25  # ticks by which a target may be sent before the beginning of its episode
 _ROUNDING: Final = 1e-9

@@ -24,7 +24,7 @@ from dual_ur10.sim2real.analysis.series import (
 from dual_ur10.sim2real.analysis.tracks import Track, flange_of, tracks
 from dual_ur10.sim2real.recording.header import mounts_of
 from dual_ur10.sim2real.recording.run import Run
-from dual_ur10.types import Array
+from ur_core.types import Array
 
 LATE_S: Final = (0.002, 0.008)
 """Delays above which late targets are counted."""

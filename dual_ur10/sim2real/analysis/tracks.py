@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.errors import RecordingError
-from dual_ur10.kinematics import BASE_TO_BASE_LINK, flange_pose
-from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.rotations import quat_to_matrix
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.analysis.series import rising
 from dual_ur10.sim2real.analysis.tick_map import TickMap, sent_around, tick_map
 from dual_ur10.sim2real.recording.run import ArmLog, Run
-from dual_ur10.types import Array
+from ur_core.kinematics import BASE_TO_BASE_LINK, flange_pose
+from ur_core.kinematics.frames import ArmMount
+from ur_core.kinematics.rotations import quat_to_matrix
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.types import Array
 
 _MOST_APART: Final = 100.0  # ticks from state to state, on average
 _MOST_PAUSED_S: Final = 600.0

@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from dual_ur10.errors import CalibrationError, MissingExtraError
-from dual_ur10.types import Array, Vector3
+from ur_core.types import Array, Vector3
 
 _LEAST_CORNERS: Final = 6
 _LEAST_IMAGES: Final = 5

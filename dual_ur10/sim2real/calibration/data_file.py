@@ -13,9 +13,9 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from dual_ur10.errors import CalibrationError
-from dual_ur10.files import read_regular, write_text
 from dual_ur10.sim2real.calibration.board import Board, Camera, calibrated_camera, located
 from dual_ur10.sim2real.calibration.observations import BarPose, BoardView, Carrier, Noise, Observation, Touch
+from ur_core.files import read_regular, write_text
 
 MAX_BYTES: Final = 4 << 20
 MAX_OBSERVATIONS: Final = 2000

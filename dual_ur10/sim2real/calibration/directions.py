@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from dual_ur10.types import Array
+from ur_core.types import Array
 
 LEVER_M: Final = 1.0
 """Distance from the right base at which rotations are compared with shifts: grips of a carried bar are about there."""

@@ -15,10 +15,10 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.errors import CalibrationError
-from dual_ur10.kinematics.ur10 import DHParameters
 from dual_ur10.sim2real.calibration.observations import BarPose, BoardView, Carrier, Noise, Observation, Touch
 from dual_ur10.sim2real.calibration.transforms import flange, inverse_of, rotation_of, rotvec_of, skew, transform
-from dual_ur10.types import Array
+from ur_core.kinematics.ur10 import DHParameters
+from ur_core.types import Array
 
 _IDENTITY, _BASE = 0, 1  # rows of the stack of transforms; the constants follow
 

@@ -17,14 +17,14 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from dual_ur10.errors import CalibrationError, MissingExtraError
-from dual_ur10.kinematics.frames import BASE_TO_BASE_LINK, ArmMount, yaw_and_tilt
-from dual_ur10.kinematics.rotations import quat_from_matrix
-from dual_ur10.kinematics.ur10 import DHParameters
 from dual_ur10.sim2real.calibration.directions import LEVER_M, SCALES, Direction, weakest
 from dual_ur10.sim2real.calibration.equations import Equations
 from dual_ur10.sim2real.calibration.observations import Noise, Observation
 from dual_ur10.sim2real.calibration.transforms import base_in_cell, rotation_of, rotvec_of
-from dual_ur10.types import Array, Mask
+from ur_core.kinematics.frames import BASE_TO_BASE_LINK, ArmMount, yaw_and_tilt
+from ur_core.kinematics.rotations import quat_from_matrix
+from ur_core.kinematics.ur10 import DHParameters
+from ur_core.types import Array, Mask
 
 LEVEL: Final = 0.95
 """Confidence of all stated intervals."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Final, Literal
 
 from dual_ur10.errors import CalibrationError, SettingsError
-from dual_ur10.kinematics.frames import finite_floats
-from dual_ur10.types import Vector3
+from ur_core.kinematics.frames import finite_floats
+from ur_core.types import Vector3
 
 Carrier = Literal["left", "right", "fixed"]
 """What a camera or a board is mounted on: the flange of an arm, or the surroundings."""

@@ -14,16 +14,16 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.errors import CalibrationError
-from dual_ur10.kinematics.frames import BASE_TO_BASE_LINK
-from dual_ur10.kinematics.inverse import try_nearest
-from dual_ur10.kinematics.robots import robot_model
-from dual_ur10.kinematics.ur10 import REACH_M, DHParameters
 from dual_ur10.sim2real.calibration.directions import SCALES
 from dual_ur10.sim2real.calibration.equations import Equations
 from dual_ur10.sim2real.calibration.estimate import BaseEstimate
 from dual_ur10.sim2real.calibration.observations import BarPose, Noise, Observation, Touch
 from dual_ur10.sim2real.calibration.transforms import flange, inverse_of, rotation_of, rotvec_of, transform
-from dual_ur10.types import Array, Vector3
+from ur_core.kinematics.frames import BASE_TO_BASE_LINK
+from ur_core.kinematics.inverse import try_nearest
+from ur_core.kinematics.robots import robot_model
+from ur_core.kinematics.ur10 import REACH_M, DHParameters
+from ur_core.types import Array, Vector3
 
 PRIOR_M: Final = 0.1
 """Standard deviation of the base before any observation, m and rad times `LEVER_M`."""

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dual_ur10.kinematics.forward import flange_pose
-from dual_ur10.kinematics.frames import ArmMount, to_base
-from dual_ur10.kinematics.rotations import quat_from_matrix, quat_from_rotvec, quat_to_matrix, quat_to_rotvec
-from dual_ur10.kinematics.ur10 import DHParameters
-from dual_ur10.types import Array
+from ur_core.kinematics.forward import flange_pose
+from ur_core.kinematics.frames import ArmMount, to_base
+from ur_core.kinematics.rotations import quat_from_matrix, quat_from_rotvec, quat_to_matrix, quat_to_rotvec
+from ur_core.kinematics.ur10 import DHParameters
+from ur_core.types import Array
 
 
 def transform(position_m: ArrayLike, rotation: ArrayLike) -> Array:

@@ -14,10 +14,10 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from dual_ur10.errors import CalibrationError, MissingExtraError, SettingsError
-from dual_ur10.files import read_regular
-from dual_ur10.kinematics.ur10 import DHParameters
 from dual_ur10.sim2real.calibration.transforms import flange, rotation_of, transform
-from dual_ur10.types import Array
+from ur_core.files import read_regular
+from ur_core.kinematics.ur10 import DHParameters
+from ur_core.types import Array
 
 FRAMES: Final = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 
@@ -53,7 +53,7 @@ def read(path: str | Path, robot: str) -> DHParameters:
 
     Args:
         path: File of UR's calibration tool.
-        robot: Model of the arm, a name in `dual_ur10.kinematics.robots.ROBOTS`.
+        robot: Model of the arm, a name in `ur_core.kinematics.robots.ROBOTS`.
 
     Raises:
         CalibrationError: The file cannot be read, or holds no such kinematics.
@@ -97,7 +97,7 @@ def of_frames(frames: list[Array], robot: str) -> DHParameters:
 
     Args:
         frames: Six poses (4, 4): each frame, whose z axis is a joint's, in the one before.
-        robot: Model of the arm, a name in `dual_ur10.kinematics.robots.ROBOTS`.
+        robot: Model of the arm, a name in `ur_core.kinematics.robots.ROBOTS`.
 
     Raises:
         CalibrationError: The first axis is not that of the base, or the conversion is not exact.

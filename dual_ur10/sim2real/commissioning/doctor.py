@@ -16,8 +16,6 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from dual_ur10.errors import LinkError, SettingsError
-from dual_ur10.kinematics.robots import ROBOTS
-from dual_ur10.kinematics.ur10 import ARMS, DHParameters
 from dual_ur10.sim2real.commissioning.findings import (
     NOT_REPORTED,
     ExpectedArm,
@@ -40,15 +38,17 @@ from dual_ur10.sim2real.commissioning.findings import (
     tool_findings,
 )
 from dual_ur10.sim2real.config.cell_file import CellFile
-from dual_ur10.sim2real.links import dashboard_link, primary_link, rtde_link
-from dual_ur10.sim2real.links.arm_status import OPTIONAL_VARIABLES, STATUS_VARIABLES, ArmStatus
-from dual_ur10.sim2real.links.dashboard_link import DashboardLink
-from dual_ur10.sim2real.links.link_socket import NO_ANSWER, LinkSocket
-from dual_ur10.sim2real.links.primary_link import PrimaryFacts, read_primary
-from dual_ur10.sim2real.links.rtde_link import RtdeClient, RtdeLink
-from dual_ur10.sim2real.links.rtde_stream import Sample
-from dual_ur10.sim2real.processes.system import LOCAL, System, in_parallel
-from dual_ur10.sim2real.protocol.rtde import Kind
+from ur_core.kinematics.robots import ROBOTS
+from ur_core.kinematics.ur10 import ARMS, DHParameters
+from ur_core.links import dashboard_link, primary_link, rtde_link
+from ur_core.links.arm_status import OPTIONAL_VARIABLES, STATUS_VARIABLES, ArmStatus
+from ur_core.links.dashboard_link import DashboardLink
+from ur_core.links.link_socket import NO_ANSWER, LinkSocket
+from ur_core.links.primary_link import PrimaryFacts, read_primary
+from ur_core.links.rtde_link import RtdeClient, RtdeLink
+from ur_core.links.rtde_stream import Sample
+from ur_core.processes.system import LOCAL, System, in_parallel
+from ur_core.protocol.rtde import Kind
 
 PORTS: Final = {
     "dashboard": dashboard_link.PORT,

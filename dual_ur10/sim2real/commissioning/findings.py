@@ -9,17 +9,17 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from dual_ur10.errors import LinkError, SettingsError, UnknownNameError
-from dual_ur10.kinematics import flange_pose
-from dual_ur10.kinematics.robots import MODEL_OF_FAMILY, ROBOTS, RobotModel, robot_model
-from dual_ur10.kinematics.rotations import quat_conjugate, quat_from_rotvec, quat_multiply, quat_to_rotvec
-from dual_ur10.kinematics.ur10 import DHParameters, Family, nominal_dh
 from dual_ur10.sim2real.config.cell_file_tables import ArmEntry
 from dual_ur10.sim2real.control.time_scaling import FULL
-from dual_ur10.sim2real.links.arm_status import ArmStatus, mode_name, stop_reason
-from dual_ur10.sim2real.links.link_socket import check_host
-from dual_ur10.sim2real.links.primary_link import PrimaryFacts
-from dual_ur10.sim2real.links.rtde_stream import Sample
-from dual_ur10.sim2real.protocol.modes import RobotMode, RuntimeState, SafetyMode
+from ur_core.kinematics import flange_pose
+from ur_core.kinematics.robots import MODEL_OF_FAMILY, ROBOTS, RobotModel, robot_model
+from ur_core.kinematics.rotations import quat_conjugate, quat_from_rotvec, quat_multiply, quat_to_rotvec
+from ur_core.kinematics.ur10 import DHParameters, Family, nominal_dh
+from ur_core.links.arm_status import ArmStatus, mode_name, stop_reason
+from ur_core.links.link_socket import check_host
+from ur_core.links.primary_link import PrimaryFacts
+from ur_core.links.rtde_stream import Sample
+from ur_core.protocol.modes import RobotMode, RuntimeState, SafetyMode
 
 Level = Literal["ok", "warn", "fail"]
 Version = tuple[int, int, int, int]
@@ -115,7 +115,7 @@ class ExpectedArm:
     Attributes:
         host: IPv4 address of its controller.
         family: "cb3" or "e-series".
-        model: Model of the arm, a name in `dual_ur10.kinematics.robots.ROBOTS`; None: a UR10, or a UR10e of the
+        model: Model of the arm, a name in `ur_core.kinematics.robots.ROBOTS`; None: a UR10, or a UR10e of the
             e-Series.
         dh: Calibrated kinematics.
         checksums: (6,) checksums of the calibration.

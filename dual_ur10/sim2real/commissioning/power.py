@@ -11,12 +11,12 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
 from dual_ur10.errors import LinkError, OperationRefusedError
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell_file import CellFile
-from dual_ur10.sim2real.links.dashboard_link import DashboardLink
-from dual_ur10.sim2real.processes.clock import Clock
-from dual_ur10.sim2real.processes.system import LOCAL, System
-from dual_ur10.sim2real.protocol.modes import RobotMode, SafetyMode
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.links.dashboard_link import DashboardLink
+from ur_core.processes.clock import Clock
+from ur_core.processes.system import LOCAL, System
+from ur_core.protocol.modes import RobotMode, SafetyMode
 
 POWER_S: Final = 60.0
 """Time limit of powering an arm."""

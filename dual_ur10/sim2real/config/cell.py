@@ -16,14 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.assets.collision_model import CLEARANCE_CUTOFF_M
-from dual_ur10.assets.gains import (
-    INTEGRATORS,
-    MOST_UNSTABLE,
-    Gains,
-    check_gains,
-    check_integrator,
-    stability_number,
-)
 from dual_ur10.assets.obstacles import Obstacle
 from dual_ur10.assets.prop import Prop
 from dual_ur10.assets.settings import (
@@ -32,20 +24,28 @@ from dual_ur10.assets.settings import (
     SceneSettings,
     default_mount,
 )
-from dual_ur10.assets.tool import Tool, tools_of
 from dual_ur10.errors import RateError, SettingsError, TaskError, UnknownNameError
-from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.poses import Poses
-from dual_ur10.kinematics.robots import MODEL_OF_FAMILY
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell_kinds import cell_kind
 from dual_ur10.sim2real.config.perturbation import Perturbation
 from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance, checked_base_uncertainty
 from dual_ur10.sim2real.control.limits import MotionLimits, checked_tcp
-from dual_ur10.sim2real.control.servoj import DEFAULT_SERVOJ, MEASURED_LOOKAHEAD_S, ServojProfile
-from dual_ur10.sim2real.processes.system import LOCAL, System
-from dual_ur10.types import Array, Rows, Vector3, changed
+from ur_core.kinematics.frames import ArmMount
+from ur_core.kinematics.poses import Poses
+from ur_core.kinematics.robots import MODEL_OF_FAMILY
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.mjcf.gains import (
+    INTEGRATORS,
+    MOST_UNSTABLE,
+    Gains,
+    check_gains,
+    check_integrator,
+    stability_number,
+)
+from ur_core.processes.system import LOCAL, System
+from ur_core.servoj import DEFAULT_SERVOJ, MEASURED_LOOKAHEAD_S, ServojProfile
+from ur_core.tools.tool import Tool, tools_of
+from ur_core.types import Array, Rows, Vector3, changed
 
 LEAST_DAMPING = 0.3
 """Smallest damping ratio of the servoj law: below it the arms overshoot the targets that the gate checks.
@@ -264,7 +264,7 @@ class CellConfig:
             workspace.
         servoj: Controller family and servoj settings of both arms. Left out: those of the arms' family.
         timestep_s: Physics step; it must divide the controller's tick. None: the task's own.
-        integrator: Integrator of the physics, a name of `dual_ur10.assets.gains.INTEGRATORS`. None: "Euler" where
+        integrator: Integrator of the physics, a name of `ur_core.mjcf.gains.INTEGRATORS`. None: "Euler" where
             `stability_number` is small, as with the friction grasp of SyncCarry; otherwise "implicitfast".
         gains: Gains of the joint servos in simulation. None: the task's own.
         minimum_clearance_m: Smallest distance between two bodies that the safety gate allows.

@@ -16,14 +16,9 @@ from typing import Any, Final, NamedTuple, Self, cast
 
 from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
-from dual_ur10.assets.gains import Gains
 from dual_ur10.assets.obstacles import Obstacle
 from dual_ur10.assets.settings import default_mount
-from dual_ur10.assets.tool import Tool, tool_named
 from dual_ur10.errors import CellFileError, SettingsError
-from dual_ur10.files import read_regular
-from dual_ur10.kinematics.robots import MODEL_OF_FAMILY, ROBOTS
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.config.cell_file_rules import inconsistencies
 from dual_ur10.sim2real.config.cell_file_tables import (
@@ -47,6 +42,11 @@ from dual_ur10.sim2real.config.cell_file_tables import (
 )
 from dual_ur10.sim2real.config.cell_file_text import KeyList, missing, toml_text
 from dual_ur10.sim2real.config.perturbation import Perturbation
+from ur_core.files import read_regular
+from ur_core.kinematics.robots import MODEL_OF_FAMILY, ROBOTS
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.mjcf.gains import Gains
+from ur_core.tools.tool import Tool, tool_named
 
 MAX_BYTES: Final = 64 * 1024
 MAX_DOTS: Final = 100  # in one line

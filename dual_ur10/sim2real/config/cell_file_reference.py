@@ -8,9 +8,6 @@ from typing import Any, Final
 
 from dual_ur10.assets.settings import default_mount
 from dual_ur10.errors import CellFileError, DualUR10Error
-from dual_ur10.files import check_target
-from dual_ur10.kinematics.robots import MODEL_OF_FAMILY, ROBOTS
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell_file import (
     FIRST_SPEED_FACTOR,
     FIRST_SPEED_RAD_S,
@@ -22,6 +19,9 @@ from dual_ur10.sim2real.config.cell_file import (
 )
 from dual_ur10.sim2real.config.cell_file_tables import MAX_OBSTACLES, ZERO, Kind, Servoj
 from dual_ur10.sim2real.config.cell_file_text import Key, toml_text, toml_value
+from ur_core.files import check_target
+from ur_core.kinematics.robots import MODEL_OF_FAMILY, ROBOTS
+from ur_core.kinematics.ur10 import ARMS
 
 EXAMPLES: Final = """\
 # More that a cell file may hold: take the "# " away from what you need. All keys: docs, reference, cell file.

@@ -10,12 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from dual_ur10.assets.settings import SceneSettings
-from dual_ur10.assets.tool import tool_named
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.robots import robot_model
-from dual_ur10.kinematics.rotations import quat_conjugate, quat_multiply, quat_to_rotvec, rotate
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import LEAST_DAMPING
 from dual_ur10.sim2real.config.cell_file_tables import (
     LEVEL,
@@ -26,6 +21,11 @@ from dual_ur10.sim2real.config.cell_file_tables import (
     NoGripper,
     PlaneEntry,
 )
+from ur_core.kinematics.frames import ArmMount
+from ur_core.kinematics.robots import robot_model
+from ur_core.kinematics.rotations import quat_conjugate, quat_multiply, quat_to_rotvec, rotate
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.tools.tool import tool_named
 
 if TYPE_CHECKING:
     from dual_ur10.sim2real.config.cell_file import CellFile

@@ -19,14 +19,15 @@ from typing import Annotated, Any, Final, Literal, Self, TypeVar
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
-from dual_ur10.assets import gains, obstacles
-from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85
+from dual_ur10.assets import obstacles
 from dual_ur10.ids import ENV_IDS, is_registered
-from dual_ur10.kinematics import ur10
-from dual_ur10.kinematics.frames import MAX_MOUNT_M, MAX_TILT_RAD, ArmMount
-from dual_ur10.kinematics.robots import MODEL_OF_FAMILY, MOST_PAYLOAD_KG, ROBOTS
-from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters, Family, nominal_dh
-from dual_ur10.sim2real.control.servoj import GAIN_RANGE, LOOKAHEAD_RANGE_S, MEASURED_LOOKAHEAD_S, ServojProfile
+from ur_core.kinematics import ur10
+from ur_core.kinematics.frames import MAX_MOUNT_M, MAX_TILT_RAD, ArmMount
+from ur_core.kinematics.robots import MODEL_OF_FAMILY, MOST_PAYLOAD_KG, ROBOTS
+from ur_core.kinematics.ur10 import NOMINAL_DH, DHParameters, Family, nominal_dh
+from ur_core.mjcf import gains
+from ur_core.servoj import GAIN_RANGE, LOOKAHEAD_RANGE_S, MEASURED_LOOKAHEAD_S, ServojProfile
+from ur_core.tools.robotiq_2f85 import ROBOTIQ_2F85
 
 Kind = Literal["real", "emulated"]
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple
 
-from dual_ur10.kinematics.ur10 import ARMS
+from ur_core.kinematics.ur10 import ARMS
 
 Comment = Callable[[str], str | None]
 Schema = Mapping[str, Any]

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.ids import discover, load_object
+from dual_ur10.ids import discover
+from ur_core.objects import load_object
 
 if TYPE_CHECKING:
     from dual_ur10.sim2real.config.cell import Cell, CellRequest

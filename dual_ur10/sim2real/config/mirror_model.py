@@ -10,10 +10,10 @@ import numpy as np
 
 from dual_ur10.assets.scene import build_model, sensor_slices
 from dual_ur10.assets.settings import SceneSettings
-from dual_ur10.kinematics.poses import Poses
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import CellState, Start, check_start
-from dual_ur10.types import Array
+from ur_core.kinematics.poses import Poses
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.types import Array
 
 
 class MirrorModel:

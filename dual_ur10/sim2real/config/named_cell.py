@@ -6,9 +6,10 @@ import os
 from typing import Final
 
 from dual_ur10.errors import UnknownNameError
-from dual_ur10.ids import discover, load_object
+from dual_ur10.ids import discover
 from dual_ur10.sim2real.config.cell import CellConfig, HostedCell
 from dual_ur10.sim2real.config.cell_kinds import CELL_KINDS
+from ur_core.objects import load_object
 
 READER: Final = "dual_ur10.sim2real.config.cell_file:load_cell_file"
 """Reader of cell files, "module:function"."""

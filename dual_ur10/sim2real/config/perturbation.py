@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.kinematics.robots import MOST_PAYLOAD_KG
-from dual_ur10.types import Array
+from ur_core.kinematics.robots import MOST_PAYLOAD_KG
+from ur_core.types import Array
 
 Numbers = float | Array | tuple[Any, ...]
 

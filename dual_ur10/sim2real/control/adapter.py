@@ -16,16 +16,16 @@ import numpy as np
 
 from dual_ur10.assets.settings import DEFAULT_TOOLS
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.kernel import RowLoop, Struct
-from dual_ur10.kinematics.forward import links
-from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply, quat_to_matrix
-from dual_ur10.kinematics.ur10 import DHParameters
 from dual_ur10.sim2real.control import path
 from dual_ur10.sim2real.control.adapter_matrices import matrices_of
 from dual_ur10.sim2real.control.cartesian_step import goal_of_step
 from dual_ur10.sim2real.control.limits import HISTORY, MotionLimits
-from dual_ur10.sim2real.control.servoj import ServojProfile
-from dual_ur10.types import Array, Rows
+from ur_core.kernel import RowLoop, Struct
+from ur_core.kinematics.forward import links
+from ur_core.kinematics.rotations import quat_from_rotvec, quat_multiply, quat_to_matrix
+from ur_core.kinematics.ur10 import DHParameters
+from ur_core.servoj import ServojProfile
+from ur_core.types import Array, Rows
 
 ActionMode = Literal["joint_delta", "joint_position", "tcp_delta"]
 

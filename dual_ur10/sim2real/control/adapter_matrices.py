@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.kernel import Struct
 from dual_ur10.sim2real.control import path, stopping
 from dual_ur10.sim2real.control.limits import HISTORY, Envelope, MotionLimits
-from dual_ur10.sim2real.control.servoj import ServojLaw, ServojProfile
 from dual_ur10.sim2real.control.time_scaling import interpolate
-from dual_ur10.types import Array
+from ur_core.kernel import Struct
+from ur_core.servoj import ServojLaw, ServojProfile
+from ur_core.types import Array
 
 _MANY_TICKS = 5  # targets per period from which on they sample the path densely enough
 

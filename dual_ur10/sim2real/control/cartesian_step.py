@@ -6,11 +6,11 @@ from typing import Final
 
 import numpy as np
 
-from dual_ur10.kinematics import flange_pose, try_nearest
-from dual_ur10.kinematics.forward import pose_and_jacobian
-from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_to_matrix
-from dual_ur10.kinematics.ur10 import DHParameters
-from dual_ur10.types import Array
+from ur_core.kinematics import flange_pose, try_nearest
+from ur_core.kinematics.forward import pose_and_jacobian
+from ur_core.kinematics.rotations import quat_from_rotvec, quat_to_matrix
+from ur_core.kinematics.ur10 import DHParameters
+from ur_core.types import Array
 
 SLOW_CONDITION: Final = 17.0
 """Condition number of the flange's Jacobian, in m and rad, from which on steps shrink: that of MoveIt Servo."""

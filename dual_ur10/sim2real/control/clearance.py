@@ -25,9 +25,9 @@ from dual_ur10.assets.collision_model import (
 from dual_ur10.assets.obstacles import geom_name
 from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.errors import CollisionAtStartError, SettingsError, UnknownNameError
-from dual_ur10.kernel import Struct, call
-from dual_ur10.kinematics.rotations import quat_to_matrix
-from dual_ur10.types import Array, Mask
+from ur_core.kernel import Struct, call
+from ur_core.kinematics.rotations import quat_to_matrix
+from ur_core.types import Array, Mask
 
 if TYPE_CHECKING:
     import mujoco

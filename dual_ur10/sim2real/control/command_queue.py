@@ -8,7 +8,7 @@ import numpy as np
 
 from dual_ur10.errors import SettingsError
 from dual_ur10.sim2real.control.adapter import STROKES_M, Command
-from dual_ur10.types import Array, Rows
+from ur_core.types import Array, Rows
 
 MAX_LATENCY_TICKS = 125
 

@@ -16,10 +16,10 @@ from typing import Final, NamedTuple, Protocol
 import numpy as np
 
 from dual_ur10.errors import ActionError, SettingsError
-from dual_ur10.kernel import RowLoop, Struct
-from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 from dual_ur10.sim2real.control.limits import HISTORY, POINTS, Envelope, MotionLimits
-from dual_ur10.types import Array, Mask, Rows
+from ur_core.kernel import RowLoop, Struct
+from ur_core.kinematics.ur10 import ARMS, JOINTS
+from ur_core.types import Array, Mask, Rows
 
 SWEEP_TOLERANCE_M: Final = 0.005
 """Distance by which a pair may be closer than allowed between two checked configurations."""

@@ -17,10 +17,10 @@ from typing import Final
 
 import numpy as np
 
-from dual_ur10.kernel import RowLoop, Struct
 from dual_ur10.sim2real.control.adapter import ServojAdapter
 from dual_ur10.sim2real.control.gate import SafetyGate
-from dual_ur10.types import Mask
+from ur_core.kernel import RowLoop, Struct
+from ur_core.types import Mask
 
 MARGIN_M: Final = 0.0005
 """Distance above the smallest legal one that led motion keeps where it ends: a wall is curved, and its slope is not."""

@@ -21,12 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.errors import SettingsError, distinguishable
-from dual_ur10.kernel import Struct
-from dual_ur10.kinematics import ur10
-from dual_ur10.kinematics.forward import lengths_m
-from dual_ur10.kinematics.robots import ROBOTS, robot_model
-from dual_ur10.kinematics.ur10 import nominal_dh
-from dual_ur10.types import Array, Vector3, constant
+from ur_core.kernel import Struct
+from ur_core.kinematics import ur10
+from ur_core.kinematics.forward import lengths_m
+from ur_core.kinematics.robots import ROBOTS, robot_model
+from ur_core.kinematics.ur10 import nominal_dh
+from ur_core.types import Array, Vector3, constant
 
 Six = tuple[float, float, float, float, float, float]
 
@@ -118,7 +118,7 @@ class MotionLimits:
     Raises:
         UnknownNameError: There is no such model.
         SettingsError: A limit is not positive and finite, or wider than the hard limits of one of both models in
-            `dual_ur10.kinematics.robot_model`.
+            `ur_core.kinematics.robot_model`.
     """
 
     speed_rad_s: Six = _SPEED_RAD_S

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from dual_ur10.errors import SettingsError
-from dual_ur10.sim2real.control.servoj import ServojProfile
+from ur_core.servoj import ServojProfile
 
 LinkMode = Literal["servoj", "points", "movej"]
 

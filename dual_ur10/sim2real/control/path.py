@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial import polynomial
 
-from dual_ur10.types import Array
+from ur_core.types import Array
 
 # Values that define a path: its current position, speed, acceleration and jerk, then those of the commands'
 # continuation at the meeting.

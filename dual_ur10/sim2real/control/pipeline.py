@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from dual_ur10.errors import ActionError
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.control.adapter import Command, ServojAdapter
 from dual_ur10.sim2real.control.gate import SafetyGate, Verdict
 from dual_ur10.sim2real.control.leading import Leading
 from dual_ur10.sim2real.control.proximity import ProximityScaling
-from dual_ur10.types import Array, Mask, Rows
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.types import Array, Mask, Rows
 
 
 class ServojPipeline:

@@ -17,11 +17,11 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.errors import PlanningError
-from dual_ur10.kernel import call
-from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 from dual_ur10.sim2real.control.gate import Distances
 from dual_ur10.sim2real.control.limits import MotionLimits
-from dual_ur10.types import Array
+from ur_core.kernel import call
+from ur_core.kinematics.ur10 import ARMS, JOINTS
+from ur_core.types import Array
 
 MARGIN_RAD: Final = 0.003
 """Margin of a path: 12 mm between an arm and the table, 24 mm between both arms, 0.4 mm between wrist 3 and forearm."""

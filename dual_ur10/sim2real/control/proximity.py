@@ -12,7 +12,7 @@ import numpy as np
 
 from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance
 from dual_ur10.sim2real.control.time_scaling import scaling_from_slider
-from dual_ur10.types import Array, Mask
+from ur_core.types import Array, Mask
 
 NEAR_M: Final = 0.05
 """Distance at which slowing down begins, where the gate's smallest one is `MINIMUM_M`; otherwise as far beyond it."""

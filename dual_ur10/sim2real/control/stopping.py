@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.sim2real.control.limits import HISTORY
-from dual_ur10.types import Array
+from ur_core.types import Array
 
 CARRIED: Final = HISTORY + 2
 """Numbers of a joint that a stop is planned from: its last three targets, its arm's position and speed."""

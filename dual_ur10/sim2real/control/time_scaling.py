@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from dual_ur10.types import Array
+from ur_core.types import Array
 
 SLOWING_PER_S: Final = 4.0
 """Rate at which the scaling falls: as fast as the emulated controllers slow down, or targets run away from the arms. A

@@ -9,13 +9,13 @@ from __future__ import annotations
 from contextlib import ExitStack
 from typing import Final
 
-from dual_ur10.assets.tool import tool_named
 from dual_ur10.sim2real.config.cell_file_tables import DigitalGripper
-from dual_ur10.sim2real.links.link_socket import check_timeout
-from dual_ur10.sim2real.links.rtde_link import PORT, RtdeClient, RtdeLink
 from dual_ur10.sim2real.peripherals.gripper_link import GripperLink, GripperReading
-from dual_ur10.sim2real.processes.system import LOCAL, System
-from dual_ur10.sim2real.protocol.rtde import Kind, frame
+from ur_core.links.link_socket import check_timeout
+from ur_core.links.rtde_link import PORT, RtdeClient, RtdeLink
+from ur_core.processes.system import LOCAL, System
+from ur_core.protocol.rtde import Kind, frame
+from ur_core.tools.tool import tool_named
 
 OUTPUTS: Final = "actual_digital_output_bits"
 

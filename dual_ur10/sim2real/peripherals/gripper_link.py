@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import ClassVar, Final, NamedTuple, TypeVar
 
-from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85
-from dual_ur10.assets.tool import Tool
 from dual_ur10.errors import DualUR10Error, LinkError, SettingsError
-from dual_ur10.sim2real.links.link_socket import LinkSocket, SocketClient, check_timeout
-from dual_ur10.sim2real.processes.system import LOCAL, System
-from dual_ur10.types import Closing
+from ur_core.links.link_socket import LinkSocket, SocketClient, check_timeout
+from ur_core.processes.system import LOCAL, System
+from ur_core.tools.robotiq_2f85 import ROBOTIQ_2F85
+from ur_core.tools.tool import Tool
+from ur_core.types import Closing
 
 COUNTS: Final = 255
 """Largest value of a Robotiq's position, force and speed."""

@@ -9,10 +9,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any, Final, TypeVar
 
-from dual_ur10.assets.tool import tool_named
 from dual_ur10.errors import ActionError, ClosedError, DualUR10Error, LinkError, OperationRefusedError, SettingsError
-from dual_ur10.ids import load_object
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.config.cell_file_tables import ArmEntry, DigitalGripper, OwnGripper, RobotiqSocket, keywords_of
 from dual_ur10.sim2real.peripherals.digital_gripper import DigitalGripperLink
@@ -23,8 +20,11 @@ from dual_ur10.sim2real.peripherals.gripper_link import (
     RobotiqLink,
     check_drives,
 )
-from dual_ur10.sim2real.processes.system import LOCAL, System
-from dual_ur10.types import Closing
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.objects import load_object
+from ur_core.processes.system import LOCAL, System
+from ur_core.tools.tool import tool_named
+from ur_core.types import Closing
 
 log = logging.getLogger(__name__)
 

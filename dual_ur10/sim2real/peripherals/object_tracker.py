@@ -23,10 +23,6 @@ from dual_ur10.errors import (
     OperationRefusedError,
     SettingsError,
 )
-from dual_ur10.ids import load_object
-from dual_ur10.kinematics.poses import Poses, compose
-from dual_ur10.kinematics.rotations import quat_from_rotvec
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.config.cell_file_tables import (
     AttachedTrackerEntry,
@@ -36,9 +32,13 @@ from dual_ur10.sim2real.config.cell_file_tables import (
     Tracker,
     keywords_of,
 )
-from dual_ur10.sim2real.links.json_link import JsonLink
-from dual_ur10.sim2real.processes.system import LOCAL, System
-from dual_ur10.types import Array, Closing, Vector3
+from dual_ur10.sim2real.peripherals.json_link import JsonLink
+from ur_core.kinematics.poses import Poses, compose
+from ur_core.kinematics.rotations import quat_from_rotvec
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.objects import load_object
+from ur_core.processes.system import LOCAL, System
+from ur_core.types import Array, Closing, Vector3
 
 log = logging.getLogger(__name__)
 

@@ -13,7 +13,7 @@ from dual_ur10.errors import RecordingError
 from dual_ur10.sim2real.recording.run import Event, Header
 from dual_ur10.sim2real.recording.schemas import BEGIN, EPISODE_TOPIC, STATE_COLUMNS, STEP, STEP_TOPIC, Columns
 from dual_ur10.sim2real.recording.writer import RunWriter
-from dual_ur10.types import Array
+from ur_core.types import Array
 
 KEPT_S: Final = 10.0
 _MOST_BOXES: Final = 1000

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.errors import RecordingError
-from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 from dual_ur10.sim2real.recording import mcap_records as mcap
 from dual_ur10.sim2real.recording.cdr import HEAD
 from dual_ur10.sim2real.recording.header import METADATA_NAME, to_metadata
@@ -27,7 +26,8 @@ from dual_ur10.sim2real.recording.schemas import (
     sent_topic,
     state_topic,
 )
-from dual_ur10.types import Array
+from ur_core.kinematics.ur10 import ARMS, JOINTS
+from ur_core.types import Array
 
 NUMBERS: Final = {topic: number for number, topic in enumerate(TOPICS, 1)}
 """Number of each topic's channel and schema."""

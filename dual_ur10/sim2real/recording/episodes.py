@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.errors import RecordingError
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.recording.run import LATE, Episode
 from dual_ur10.sim2real.recording.schemas import BEGIN, EPISODE_TOPIC, STEP, STEP_TOPIC
+from ur_core.kinematics.ur10 import ARMS
 
 _SEED_DIGITS: Final = 100
 _MOST_NUMBER: Final = 2**52

@@ -19,10 +19,10 @@ from pydantic import TypeAdapter, ValidationError
 
 from dual_ur10.errors import RecordingError, SettingsError, UnknownNameError
 from dual_ur10.ids import __version__
-from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.ur10 import DHParameters, nominal_dh
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.recording.run import Header, Mount, Servoj, Source
+from ur_core.kinematics.frames import ArmMount
+from ur_core.kinematics.ur10 import DHParameters, nominal_dh
 
 FORMAT: Final = "1"
 METADATA_NAME: Final = "dual_ur10"

@@ -13,7 +13,7 @@ from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.recording.header import plain
 from dual_ur10.sim2real.recording.rows import BeginRow, RunRecorder, StepRow
 from dual_ur10.sim2real.recording.run import LATE
-from dual_ur10.types import Array, Mask
+from ur_core.types import Array, Mask
 
 
 @runtime_checkable

@@ -10,11 +10,11 @@ import numpy as np
 
 from dual_ur10.errors import RecordingError
 from dual_ur10.sim2real.config.cell_file import CellFile
-from dual_ur10.sim2real.links.arm_status import ArmStatus
-from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.recording.black_box import BlackBox
 from dual_ur10.sim2real.recording.header import describe
-from dual_ur10.types import Array
+from ur_core.links.arm_status import ArmStatus
+from ur_core.processes.system import LOCAL, System
+from ur_core.types import Array
 
 _LOG: Final = logging.getLogger(__name__)
 

@@ -10,7 +10,6 @@ from typing import Any, Final
 import numpy as np
 
 from dual_ur10.errors import RecordingError
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.recording.cdr import HEAD
 from dual_ur10.sim2real.recording.episodes import read_episodes
 from dual_ur10.sim2real.recording.header import METADATA_NAME, from_metadata
@@ -31,7 +30,8 @@ from dual_ur10.sim2real.recording.schemas import (
     sent_topic,
     state_topic,
 )
-from dual_ur10.types import Array
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.types import Array
 
 _WANTED: Final = frozenset({*SINGLE, *map(state_topic, ARMS), *map(sent_topic, ARMS)})
 _MOST_NAMED: Final = 5

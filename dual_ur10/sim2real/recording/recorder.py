@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from dual_ur10.errors import RecordingError
-from dual_ur10.sim2real.processes.interrupts import interrupts_deferred
-from dual_ur10.sim2real.processes.system import LOCAL, Process, System
 from dual_ur10.sim2real.recording.recorder_process import (
     BLACK_BOX,
     CLOSE,
@@ -25,6 +23,8 @@ from dual_ur10.sim2real.recording.rows import BeginRow, StepRow
 from dual_ur10.sim2real.recording.run import Event, Header
 from dual_ur10.sim2real.recording.run_folder import LEAST_FREE_BYTES
 from dual_ur10.sim2real.recording.schemas import EPISODE_TOPIC, EVENT, EVENT_TOPIC, STEP_TOPIC, TOPICS
+from ur_core.processes.interrupts import interrupts_deferred
+from ur_core.processes.system import LOCAL, Process, System
 
 if TYPE_CHECKING:
     from dual_ur10.sim2real.config.cell import TickTrace

@@ -11,10 +11,6 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.errors import MissingExtraError, RecordingError
-from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.sim2real.processes.clock import Clock
-from dual_ur10.sim2real.processes.system import LOCAL, System
-from dual_ur10.sim2real.processes.transport import Transport
 from dual_ur10.sim2real.recording.black_box import BlackBox
 from dual_ur10.sim2real.recording.cdr import check_extra
 from dual_ur10.sim2real.recording.run import Event, Header
@@ -23,7 +19,11 @@ from dual_ur10.sim2real.recording.schemas import EVENT, EVENT_TOPIC, TOPICS
 from dual_ur10.sim2real.recording.writer import RunWriter
 from dual_ur10.sim2real.runtime.arm_memory import RING, ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_sender import was_requested
-from dual_ur10.types import Array
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.processes.clock import Clock
+from ur_core.processes.system import LOCAL, System
+from ur_core.processes.transport import Transport
+from ur_core.types import Array
 
 FRAME: Final = "<BId"
 """Frame on the pipe: kind, number of bytes that follow, and time on the run's clock. Smaller kinds are topics."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.sim2real.recording.schemas import BEGIN, STEP
-from dual_ur10.types import Array, Mask
+from ur_core.types import Array, Mask
 
 if TYPE_CHECKING:
     from dual_ur10.sim2real.config.cell import TickTrace

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, ConfigDict, Field, with_config
 from typing_extensions import TypedDict
 
-from dual_ur10.kinematics.ur10 import Family
-from dual_ur10.types import Array, Mask
+from ur_core.kinematics.ur10 import Family
+from ur_core.types import Array, Mask
 
 LATE: Final = -1
 """Number of a target whose action missed its deadline: nothing of the action was sent."""

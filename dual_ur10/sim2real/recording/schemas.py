@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import Final
 
 from dual_ur10.errors import RecordingError
-from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.sim2real.links.arm_status import ROW
 from dual_ur10.sim2real.recording.cdr import Field, Schema
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.links.arm_status import ROW
 
 Columns = tuple[tuple[str, int], ...]
 

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from dual_ur10.errors import ResetNeededError
-from dual_ur10.kinematics import flange_pose_quat
-from dual_ur10.kinematics.rotations import quat_to_rotvec
-from dual_ur10.sim2real.processes.interrupts import interrupts_deferred
 from dual_ur10.sim2real.recording.header import mounts_of
 from dual_ur10.sim2real.recording.rows import BeginRow, StepRow
 from dual_ur10.sim2real.recording.run import Event, Header
 from dual_ur10.sim2real.recording.run_folder import LEAST_FREE_BYTES, RunLog
 from dual_ur10.sim2real.recording.schemas import EPISODE_TOPIC, SIMULATED_COLUMNS, STEP_TOPIC
 from dual_ur10.sim2real.recording.writer import RunWriter
+from ur_core.kinematics import flange_pose_quat
+from ur_core.kinematics.rotations import quat_to_rotvec
+from ur_core.processes.interrupts import interrupts_deferred
 
 if TYPE_CHECKING:
     from dual_ur10.sim2real.config.cell import TickTrace

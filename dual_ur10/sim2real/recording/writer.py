@@ -22,7 +22,7 @@ from dual_ur10.sim2real.recording.header import METADATA_NAME
 from dual_ur10.sim2real.recording.run import Event, Header
 from dual_ur10.sim2real.recording.run_folder import LEAST_FREE_BYTES, RUN_FILE, check_name, check_room
 from dual_ur10.sim2real.recording.schemas import STATE_COLUMNS, Columns
-from dual_ur10.types import Array, Closing
+from ur_core.types import Array, Closing
 
 
 class RunWriter(Closing):

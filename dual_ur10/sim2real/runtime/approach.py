@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from dual_ur10.errors import PlanningError, StartError, distinguishable
-from dual_ur10.kinematics.forward import elbow_flange_and_tcp
-from dual_ur10.kinematics.ur10 import ARMS, JOINT_RANGE_RAD, JOINTS
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.control.planner import nearest_on_straight, plan_path
-from dual_ur10.types import Array, Vector3
+from ur_core.kinematics.forward import elbow_flange_and_tcp
+from ur_core.kinematics.ur10 import ARMS, JOINT_RANGE_RAD, JOINTS
+from ur_core.types import Array, Vector3
 
 if TYPE_CHECKING:
     from dual_ur10.sim2real.config.cell import CellConfig

@@ -12,9 +12,9 @@ import numpy as np
 
 from dual_ur10.errors import SettingsError
 from dual_ur10.sim2real.control.time_scaling import interpolate
-from dual_ur10.sim2real.links.arm_status import ROW_SIZE, ArmStatus
-from dual_ur10.sim2real.processes.shared_memory import Layout, SharedBlock
-from dual_ur10.types import Array
+from ur_core.links.arm_status import ROW_SIZE, ArmStatus
+from ur_core.processes.shared_memory import Layout, SharedBlock
+from ur_core.types import Array
 
 RING: Final = 4096
 """Number of targets, packets and states kept: half a minute at 125 Hz, eight seconds at 500 Hz."""

@@ -14,15 +14,15 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from dual_ur10.errors import DualUR10Error, LinkError, MissingExtraError, SettingsError
-from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.sim2real.control.servoj import ServojProfile
-from dual_ur10.sim2real.links.arm_status import OPTIONAL_VARIABLES, STATUS_VARIABLES
-from dual_ur10.sim2real.links.rtde_link import PORT, RtdeClient, RtdeLink
-from dual_ur10.sim2real.processes.child_process import patient_threads
-from dual_ur10.sim2real.processes.system import LOCAL, Process, System
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_sender import ArmSender
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.links.arm_status import OPTIONAL_VARIABLES, STATUS_VARIABLES
+from ur_core.links.rtde_link import PORT, RtdeClient, RtdeLink
+from ur_core.processes.child_process import patient_threads
+from ur_core.processes.system import LOCAL, Process, System
+from ur_core.servoj import ServojProfile
 
 log = logging.getLogger(__name__)
 

@@ -9,18 +9,18 @@ from typing import Final, Protocol
 import numpy as np
 
 from dual_ur10.errors import ClosedError, LinkError, distinguishable
-from dual_ur10.kinematics.robots import robot_model
-from dual_ur10.kinematics.ur10 import ARMS, HARD_ACCELERATION_RAD_S2, JOINT_RANGE_RAD
-from dual_ur10.sim2real.control.servoj import ServojProfile
-from dual_ur10.sim2real.links.arm_status import ArmStatus, program_ended, stop_reason
-from dual_ur10.sim2real.links.controller_clock import ControllerClock, DriftCompensation
-from dual_ur10.sim2real.links.rtde_link import RtdeLink
-from dual_ur10.sim2real.processes.machine_load import StallWatch, too_busy
-from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
 from dual_ur10.sim2real.runtime.tracking import Following
-from dual_ur10.types import Array
+from ur_core.kinematics.robots import robot_model
+from ur_core.kinematics.ur10 import ARMS, HARD_ACCELERATION_RAD_S2, JOINT_RANGE_RAD
+from ur_core.links.arm_status import ArmStatus, program_ended, stop_reason
+from ur_core.links.controller_clock import ControllerClock, DriftCompensation
+from ur_core.links.rtde_link import RtdeLink
+from ur_core.processes.machine_load import StallWatch, too_busy
+from ur_core.processes.system import LOCAL, System
+from ur_core.servoj import ServojProfile
+from ur_core.types import Array
 
 ARRIVAL_PHASE: Final = 0.5
 """Phase of the control period at which targets arrive: farthest from the moment when the controller reads them."""

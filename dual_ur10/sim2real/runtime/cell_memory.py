@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dual_ur10.errors import LinkError
 from dual_ur10.sim2real.control.time_scaling import TimeScaling
-from dual_ur10.sim2real.processes.shared_memory import Layout, SharedBlock
+from ur_core.processes.shared_memory import Layout, SharedBlock
 
 _TEXT: Final = 2048
 _SCALINGS: Final = 4  # kept, so that readers find a complete one while the next is written

@@ -14,16 +14,16 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from dual_ur10.errors import DualUR10Error, LinkError, StartError, UnknownNameError
-from dual_ur10.kinematics.ur10 import ARMS, JOINTS, TICK_S, Family
 from dual_ur10.sim2real.commissioning.findings import REST_RAD_S
 from dual_ur10.sim2real.commissioning.operator_prompts import Confirm
 from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.control.limits import MotionLimits
-from dual_ur10.sim2real.links.arm_status import ArmStatus, stop_reason
-from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.runtime.program_link import Observer, ProgramLink, ProgrammedArms, check_ended
 from dual_ur10.sim2real.runtime.stream_script import FIRST, STATE, STOP_RAD_S2, TOKEN, WAIT_S, Command, State
-from dual_ur10.types import Array
+from ur_core.kinematics.ur10 import ARMS, JOINTS, TICK_S, Family
+from ur_core.links.arm_status import ArmStatus, stop_reason
+from ur_core.processes.system import LOCAL, System
+from ur_core.types import Array
 
 STATES_HZ: Final = 62.5
 """Rate of the states: every second one of a CB3, every eighth one of an e-Series."""

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
+from ur_core.kinematics.ur10 import ARMS
 
 
 class LiveView:

@@ -8,16 +8,16 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.errors import DualUR10Error, StartError
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import HISTORY, MotionLimits
-from dual_ur10.sim2real.links.arm_status import ArmStatus
-from dual_ur10.sim2real.processes.machine_load import too_busy
 from dual_ur10.sim2real.runtime.approach import ACCELERATION_RAD_S2, retreat_clearance
 from dual_ur10.sim2real.runtime.arm_sender import MOST_LATE_S
 from dual_ur10.sim2real.runtime.runner import Runner, TargetWriter, margin_ticks
-from dual_ur10.types import Array
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.links.arm_status import ArmStatus
+from ur_core.processes.machine_load import too_busy
+from ur_core.types import Array
 
 SETTLED_RAD: Final = 1e-4
 """Distance of the controllers' targets from the start of a task at which an episode begins at once."""

@@ -14,19 +14,19 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.errors import DualUR10Error, StartError, TrajectoryError, distinguishable
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.commissioning.operator_prompts import Confirm
 from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.control.link_profiles import LinkProfile
-from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.runtime.program_link import Observer, ProgrammedArms
 from dual_ur10.sim2real.runtime.stream_motion import Progress, StreamMotion, slowed
 from dual_ur10.sim2real.runtime.stream_script import NOMINAL_RATE, moves_script, points_script
 from dual_ur10.sim2real.trajectory.interpolation import Interpolation, Motion
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
 from dual_ur10.sim2real.trajectory.point_path import PointPath, check_targets
-from dual_ur10.types import Array
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.processes.system import LOCAL, System
+from ur_core.types import Array
 
 _NEAR_RAD: Final = 1e-3  # from the first point to where the arms stand
 

@@ -14,20 +14,11 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from dual_ur10.errors import CellFaulted, DualUR10Error, LinkError, StartError
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.commissioning.findings import REST_RAD_S
 from dual_ur10.sim2real.commissioning.operator_prompts import Confirm, prompt_for
 from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.config.cell_file_tables import ArmEntry
 from dual_ur10.sim2real.control.clearance import Clearance
-from dual_ur10.sim2real.links.arm_status import OPTIONAL_VARIABLES, STATUS_VARIABLES, ArmStatus, stop_reason
-from dual_ur10.sim2real.links.dashboard_link import DashboardLink
-from dual_ur10.sim2real.links.link_socket import LinkSocket
-from dual_ur10.sim2real.links.rtde_link import PORT, RtdeClient, RtdeLink
-from dual_ur10.sim2real.processes.clock import Clock
-from dual_ur10.sim2real.processes.system import System
-from dual_ur10.sim2real.protocol.modes import RuntimeState
-from dual_ur10.sim2real.protocol.rtde import Kind, frame
 from dual_ur10.sim2real.runtime.latch import Claim
 from dual_ur10.sim2real.runtime.runner import check
 from dual_ur10.sim2real.runtime.stream_script import (
@@ -40,7 +31,16 @@ from dual_ur10.sim2real.runtime.stream_script import (
     Command,
     State,
 )
-from dual_ur10.types import Array, Closing
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.links.arm_status import OPTIONAL_VARIABLES, STATUS_VARIABLES, ArmStatus, stop_reason
+from ur_core.links.dashboard_link import DashboardLink
+from ur_core.links.link_socket import LinkSocket
+from ur_core.links.rtde_link import PORT, RtdeClient, RtdeLink
+from ur_core.processes.clock import Clock
+from ur_core.processes.system import System
+from ur_core.protocol.modes import RuntimeState
+from ur_core.protocol.rtde import Kind, frame
+from ur_core.types import Array, Closing
 
 CONNECT_S: Final = 6.0
 """Time limit of each connection with its requests, on a slow link."""

@@ -17,10 +17,6 @@ from typing import Any, Final, NoReturn
 import numpy as np
 
 from dual_ur10.errors import ClosedError, DualUR10Error, LinkError, SettingsError, StartError
-from dual_ur10.kinematics.frames import Frames
-from dual_ur10.kinematics.poses import Poses
-from dual_ur10.kinematics.rotations import quat_conjugate, quat_from_rotvec, quat_multiply, rotate
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.commissioning.operator_prompts import Confirm, prompt_for
 from dual_ur10.sim2real.config.cell import CellConfig, CellRequest, CellState, CellStep, Start
 from dual_ur10.sim2real.config.cell_file import CellFile
@@ -29,16 +25,20 @@ from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.command_queue import MAX_LATENCY_TICKS
 from dual_ur10.sim2real.control.limits import MotionLimits
-from dual_ur10.sim2real.links.arm_status import ArmStatus
 from dual_ur10.sim2real.peripherals.grippers import Grippers
 from dual_ur10.sim2real.peripherals.object_tracker import Flanges, ObjectPlacer, ObjectTracker, placer_of, trackers_of
-from dual_ur10.sim2real.processes.machine_load import is_too_busy
-from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.runtime.approach import Approach, Rates, plan
 from dual_ur10.sim2real.runtime.path_to_start import AHEAD_TICKS, PathToStart, StalledError
 from dual_ur10.sim2real.runtime.runner import Runner, TargetWriter, least_latency_ticks
 from dual_ur10.sim2real.runtime.tracking import PayloadWarning, TemperatureWarning
-from dual_ur10.types import Array, Rows
+from ur_core.kinematics.frames import Frames
+from ur_core.kinematics.poses import Poses
+from ur_core.kinematics.rotations import quat_conjugate, quat_from_rotvec, quat_multiply, rotate
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.links.arm_status import ArmStatus
+from ur_core.processes.machine_load import is_too_busy
+from ur_core.processes.system import LOCAL, System
+from ur_core.types import Array, Rows
 
 log = logging.getLogger(__name__)
 

@@ -12,18 +12,12 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.errors import CellFaulted, ClosedError, LinkError, SettingsError, StartError
-from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 from dual_ur10.sim2real.commissioning.doctor import check_file
 from dual_ur10.sim2real.commissioning.findings import REST_RAD_S, Finding
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.control.limits import HISTORY, Envelope, MotionLimits
 from dual_ur10.sim2real.control.time_scaling import TimeScaling
-from dual_ur10.sim2real.links.arm_status import ArmStatus, stop_reason
-from dual_ur10.sim2real.links.link_socket import NO_ANSWER
-from dual_ur10.sim2real.processes.interrupts import interrupts_deferred
-from dual_ur10.sim2real.processes.machine_load import StallWatch, is_too_busy, too_busy
-from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.runtime.arm_memory import RING, ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_process import ArmConnection, ArmProcess
 from dual_ur10.sim2real.runtime.arm_sender import STALE_S, START_GAP_RAD, root_cause, was_requested
@@ -31,7 +25,13 @@ from dual_ur10.sim2real.runtime.cell_memory import CellMemory
 from dual_ur10.sim2real.runtime.latch import Claim
 from dual_ur10.sim2real.runtime.safety_monitor import MonitorSettings
 from dual_ur10.sim2real.runtime.supervisor import SupervisorProcess
-from dual_ur10.types import Array
+from ur_core.kinematics.ur10 import ARMS, JOINTS
+from ur_core.links.arm_status import ArmStatus, stop_reason
+from ur_core.links.link_socket import NO_ANSWER
+from ur_core.processes.interrupts import interrupts_deferred
+from ur_core.processes.machine_load import StallWatch, is_too_busy, too_busy
+from ur_core.processes.system import LOCAL, System
+from ur_core.types import Array
 
 log = logging.getLogger(__name__)
 

@@ -8,19 +8,19 @@ from typing import Final
 
 import numpy as np
 
-from dual_ur10.kinematics.forward import flange_pose_quat
-from dual_ur10.kinematics.frames import ArmMount, Frames
-from dual_ur10.kinematics.poses import Poses, length, relative_to, rotation_angle
-from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.sim2real.links.arm_status import ArmStatus, program_ended, stop_reason
-from dual_ur10.sim2real.processes.machine_load import StallWatch, too_busy
-from dual_ur10.sim2real.processes.system import LOCAL, System
-from dual_ur10.sim2real.protocol.modes import RuntimeState, SafetyMode
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_sender import STALE_S, WAITING_S, root_cause
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
 from dual_ur10.sim2real.runtime.tracking import Tracking
-from dual_ur10.types import Array
+from ur_core.kinematics.forward import flange_pose_quat
+from ur_core.kinematics.frames import ArmMount, Frames
+from ur_core.kinematics.poses import Poses, length, relative_to, rotation_angle
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.links.arm_status import ArmStatus, program_ended, stop_reason
+from ur_core.processes.machine_load import StallWatch, too_busy
+from ur_core.processes.system import LOCAL, System
+from ur_core.protocol.modes import RuntimeState, SafetyMode
+from ur_core.types import Array
 
 POLICY_S: Final = 0.5
 """Longest delay of an action before a latched stop of both arms."""

@@ -7,11 +7,11 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 from dual_ur10.errors import DualUR10Error, LinkError
-from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.sim2real.links.dashboard_link import DashboardLink
-from dual_ur10.sim2real.processes.system import LOCAL, System, Thread
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_sender import STALE_S
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.links.dashboard_link import DashboardLink
+from ur_core.processes.system import LOCAL, System, Thread
 
 log = logging.getLogger(__name__)
 

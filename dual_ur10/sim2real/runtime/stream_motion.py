@@ -10,10 +10,6 @@ import numpy as np
 
 from dual_ur10.errors import LinkError
 from dual_ur10.sim2real.control.link_profiles import LinkProfile
-from dual_ur10.sim2real.links.arm_status import ArmStatus, stop_reason
-from dual_ur10.sim2real.processes.clock import Clock
-from dual_ur10.sim2real.processes.machine_load import SHORT_S, StallWatch, too_busy
-from dual_ur10.sim2real.protocol.modes import RuntimeState
 from dual_ur10.sim2real.runtime.program_link import ProgramLink, check_ended, stop_programs
 from dual_ur10.sim2real.runtime.stream_script import (
     MOVE_PART,
@@ -27,6 +23,10 @@ from dual_ur10.sim2real.runtime.stream_script import (
     State,
 )
 from dual_ur10.sim2real.trajectory.point_path import PointPath
+from ur_core.links.arm_status import ArmStatus, stop_reason
+from ur_core.processes.clock import Clock
+from ur_core.processes.machine_load import SHORT_S, StallWatch, too_busy
+from ur_core.protocol.modes import RuntimeState
 
 DWELL_S: Final = 0.6
 """Least time for which both arms rest before they move, while their path times are brought together."""

@@ -13,7 +13,7 @@ from __future__ import annotations
 from enum import IntEnum
 from typing import Final
 
-from dual_ur10.sim2real.control.servoj import ServojProfile
+from ur_core.servoj import ServojProfile
 
 FIRST: Final = 24
 """First register of each kind: UR's RTDE guide leaves those from 24 on to RTDE clients."""

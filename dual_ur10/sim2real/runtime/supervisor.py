@@ -13,19 +13,19 @@ from collections.abc import Sequence
 from typing import Final
 
 from dual_ur10.errors import LinkError, SettingsError
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.control.time_scaling import scaling_from_slider
-from dual_ur10.sim2real.links.arm_status import OPTIONAL_VARIABLES, STATUS_VARIABLES, ArmStatus
-from dual_ur10.sim2real.links.rtde_link import RtdeLink
-from dual_ur10.sim2real.processes.machine_load import is_too_busy, too_busy
-from dual_ur10.sim2real.processes.system import LOCAL, Process, System
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_sender import STALE_S, WAITING_S, of_arm, root_cause
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
 from dual_ur10.sim2real.runtime.latch import Latch
 from dual_ur10.sim2real.runtime.safety_monitor import PERIOD_S, MonitorSettings, SafetyMonitor
 from dual_ur10.sim2real.runtime.stop_enforcer import StopEnforcer
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.links.arm_status import OPTIONAL_VARIABLES, STATUS_VARIABLES, ArmStatus
+from ur_core.links.rtde_link import RtdeLink
+from ur_core.processes.machine_load import is_too_busy, too_busy
+from ur_core.processes.system import LOCAL, Process, System
 
 log = logging.getLogger(__name__)
 

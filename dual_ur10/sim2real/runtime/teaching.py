@@ -11,11 +11,11 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.errors import SettingsError
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.commissioning.findings import REST_RAD_S
 from dual_ur10.sim2real.runtime.hand_guiding import STATES_HZ, Guided
 from dual_ur10.sim2real.trajectory.taught_file import TaughtFile
-from dual_ur10.types import Array
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.types import Array
 
 MOST_RATE_HZ: Final = 25.0
 """Largest rate of a continuous record: rows are on the disk one by one."""

@@ -14,10 +14,10 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.errors import distinguishable
-from dual_ur10.kinematics.ur10 import HARD_ACCELERATION_RAD_S2, HARD_SPEED_RAD_S, JOINTS
-from dual_ur10.sim2real.control.servoj import ServojLaw, ServojProfile
-from dual_ur10.sim2real.links.arm_status import ArmStatus
-from dual_ur10.types import Array
+from ur_core.kinematics.ur10 import HARD_ACCELERATION_RAD_S2, HARD_SPEED_RAD_S, JOINTS
+from ur_core.links.arm_status import ArmStatus
+from ur_core.servoj import ServojLaw, ServojProfile
+from ur_core.types import Array
 
 log = logging.getLogger(__name__)
 

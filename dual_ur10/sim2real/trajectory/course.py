@@ -8,7 +8,7 @@ import numpy as np
 
 from dual_ur10.sim2real.trajectory.interpolation import Motion, quintic
 from dual_ur10.sim2real.trajectory.smooth_path import SmoothPath
-from dual_ur10.types import Array
+from ur_core.types import Array
 
 _LONG_AGO_S: Final = -1e9
 

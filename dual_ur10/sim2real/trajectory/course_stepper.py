@@ -14,12 +14,12 @@ from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import HISTORY
 from dual_ur10.sim2real.control.proximity import ProximityScaling
-from dual_ur10.sim2real.processes.machine_load import too_busy
 from dual_ur10.sim2real.trajectory.course import Course, Rate
 from dual_ur10.sim2real.trajectory.interpolation import Motion
 from dual_ur10.sim2real.trajectory.path_check import TargetLaw, reason_of, rehearse
 from dual_ur10.sim2real.trajectory.smooth_path import ROUNDING_S, SmoothPath
-from dual_ur10.types import Array
+from ur_core.processes.machine_load import too_busy
+from ur_core.types import Array
 
 _JOINS_S: Final = (0.0, 0.06, 0.16, 0.36, 0.76, 1.56, 3.16)  # after the first instant at which a path can be met
 _STRETCHES: Final = (1.0, 1.3, 1.7, 2.2, 3.0, 4.5, 7.0)  # of the shortest time in which the rate may change

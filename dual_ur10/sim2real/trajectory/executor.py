@@ -14,14 +14,11 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from dual_ur10.errors import ClosedError, SettingsError, StartError, TrajectoryError
-from dual_ur10.kinematics.forward import flange_pose
-from dual_ur10.kinematics.ur10 import DHParameters
 from dual_ur10.sim2real.config.cell import Cell
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import HISTORY
 from dual_ur10.sim2real.control.proximity import ProximityScaling
-from dual_ur10.sim2real.processes.interrupts import interrupts_deferred
 from dual_ur10.sim2real.trajectory.course import Course
 from dual_ur10.sim2real.trajectory.course_stepper import CourseStepper, Departure
 from dual_ur10.sim2real.trajectory.goal import (
@@ -38,7 +35,10 @@ from dual_ur10.sim2real.trajectory.interpolation import Interpolation
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, ResultCode
 from dual_ur10.sim2real.trajectory.path_check import PathCheck, TargetLaw
 from dual_ur10.sim2real.trajectory.smooth_path import ROUNDING_S, SmoothPath
-from dual_ur10.types import Array, Closing
+from ur_core.kinematics.forward import flange_pose
+from ur_core.kinematics.ur10 import DHParameters
+from ur_core.processes.interrupts import interrupts_deferred
+from ur_core.types import Array, Closing
 
 LEAST_SCALING: Final = 0.01
 """Smallest scaling."""

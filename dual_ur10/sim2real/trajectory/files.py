@@ -20,10 +20,10 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from dual_ur10.errors import MissingExtraError, TrajectoryError, UnknownNameError
-from dual_ur10.files import check_target, read_regular
-from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, ResultCode
-from dual_ur10.types import Array
+from ur_core.files import check_target, read_regular
+from ur_core.kinematics.ur10 import ARMS, JOINTS
+from ur_core.types import Array
 
 MOST_BYTES: Final = 64 << 20
 """Size above which a file is not read."""

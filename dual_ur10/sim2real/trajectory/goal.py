@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from dual_ur10.errors import TrajectoryError, distinguishable
-from dual_ur10.kinematics.forward import flange_pose
-from dual_ur10.kinematics.ur10 import ARMS, JOINTS, DHParameters
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, ResultCode
-from dual_ur10.types import Array
+from ur_core.kinematics.forward import flange_pose
+from ur_core.kinematics.ur10 import ARMS, JOINTS, DHParameters
+from ur_core.types import Array
 
 if TYPE_CHECKING:
     from dual_ur10.sim2real.trajectory.course_stepper import Desired

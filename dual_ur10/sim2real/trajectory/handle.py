@@ -9,7 +9,7 @@ import numpy as np
 
 from dual_ur10.sim2real.trajectory.goal import Feedback, GoalState, Result, TrajectoryGoal
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, ResultCode
-from dual_ur10.types import Array
+from ur_core.types import Array
 
 if TYPE_CHECKING:
     from dual_ur10.sim2real.trajectory.executor import TrajectoryExecutor

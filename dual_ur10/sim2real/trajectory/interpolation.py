@@ -12,7 +12,7 @@ import numpy as np
 
 from dual_ur10.errors import MissingExtraError, TrajectoryError
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
-from dual_ur10.types import Array
+from ur_core.types import Array
 
 try:
     from scipy.interpolate import PPoly as PPoly

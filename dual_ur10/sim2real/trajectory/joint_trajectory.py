@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from dual_ur10.errors import TrajectoryError
-from dual_ur10.kinematics.ur10 import ARMS, JOINTS
-from dual_ur10.types import Array
+from ur_core.kinematics.ur10 import ARMS, JOINTS
+from ur_core.types import Array
 
 
 class ResultCode(IntEnum):

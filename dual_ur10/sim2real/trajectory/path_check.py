@@ -11,12 +11,12 @@ import numpy as np
 
 from dual_ur10.sim2real.control.gate import SafetyGate, Verdict
 from dual_ur10.sim2real.control.limits import HISTORY
-from dual_ur10.sim2real.control.servoj import ServojProfile
 from dual_ur10.sim2real.trajectory.course import Course, Rate
 from dual_ur10.sim2real.trajectory.interpolation import Motion
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
 from dual_ur10.sim2real.trajectory.smooth_path import SmoothPath
-from dual_ur10.types import Array
+from ur_core.servoj import ServojProfile
+from ur_core.types import Array
 
 
 @dataclass(frozen=True)

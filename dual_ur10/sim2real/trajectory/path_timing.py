@@ -17,15 +17,15 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from dual_ur10.errors import TrajectoryError
-from dual_ur10.kinematics.forward import elbow_flange_and_tcp
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import HISTORY, MotionLimits
 from dual_ur10.sim2real.trajectory.interpolation import Interpolation, make_interp_spline
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
 from dual_ur10.sim2real.trajectory.path_check import PathCheck, Refusal, TargetLaw
 from dual_ur10.sim2real.trajectory.smooth_path import SmoothPath
-from dual_ur10.types import Array
+from ur_core.kinematics.forward import elbow_flange_and_tcp
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.types import Array
 
 BLEND_RAD: Final = 0.02
 """Largest distance of a joint from the straight parts of its path: half of it for corners, half for the averages."""

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from dual_ur10.errors import TrajectoryError, nearest_name
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.planner import plan_path
 from dual_ur10.sim2real.trajectory.files import FORMATS, read_trajectory
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, ResultCode
 from dual_ur10.sim2real.trajectory.path_check import TargetLaw
 from dual_ur10.sim2real.trajectory.path_timing import BLEND_RAD, time_path
-from dual_ur10.types import Array
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.types import Array
 
 
 def plan_to(

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.errors import TrajectoryError
-from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 from dual_ur10.sim2real.control.gate import Distances, SafetyGate
 from dual_ur10.sim2real.control.limits import MotionLimits
-from dual_ur10.types import Array
+from ur_core.kinematics.ur10 import ARMS, JOINTS
+from ur_core.types import Array
 
 _REST_RAD_S: Final = 1e-3  # what the gate counts as rest
 

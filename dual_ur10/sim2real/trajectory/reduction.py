@@ -14,7 +14,7 @@ import numpy as np
 from dual_ur10.errors import TrajectoryError, UnknownNameError
 from dual_ur10.sim2real.trajectory.interpolation import ORDER, Interpolation
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
-from dual_ur10.types import Array
+from ur_core.types import Array
 
 Kind = Literal["cubic", "linear"]
 """Interpolation between the points that are left: with their speeds, or without."""

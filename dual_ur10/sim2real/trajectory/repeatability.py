@@ -18,7 +18,7 @@ from dual_ur10.errors import PlanningError, TrajectoryError
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.trajectory.executor import TrajectoryExecutor
 from dual_ur10.sim2real.trajectory.planning import plan_to
-from dual_ur10.types import Array
+from ur_core.types import Array
 
 UR10_M: Final = 1e-4
 """Repeatability of a UR10: CB3 data sheet, ±0.1 mm."""

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.sim2real.trajectory.interpolation import ORDER, Interpolation, Motion, PPoly, quintic
-from dual_ur10.types import Array
+from ur_core.types import Array
 
 ROUNDING_S: Final = 0.04
 """Time before and after a point with a jump of speed or acceleration that is rounded, at most half a segment: long

@@ -11,9 +11,9 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.errors import TrajectoryError
-from dual_ur10.files import check_target
-from dual_ur10.kinematics.ur10 import JOINTS
-from dual_ur10.types import Array, Closing
+from ur_core.files import check_target
+from ur_core.kinematics.ur10 import JOINTS
+from ur_core.types import Array, Closing
 
 _SUFFIX: Final = ".csv"
 

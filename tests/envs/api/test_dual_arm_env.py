@@ -14,16 +14,16 @@ from gymnasium.wrappers import FrameStackObservation, RecordVideo, RescaleAction
 
 import dual_ur10
 from dual_ur10 import errors, policies
-from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 from dual_ur10.envs import dm_env, parallel_env
 from dual_ur10.envs.core.setup import load_task
-from dual_ur10.kinematics import flange_pose
-from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.ur10 import ARMS, JOINTS, NOMINAL_DH
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.config.perturbation import Perturbation
 from tests import rollout_hashes
 from tests.soak import scaled
+from ur_core.kinematics import flange_pose
+from ur_core.kinematics.frames import ArmMount
+from ur_core.kinematics.ur10 import ARMS, JOINTS, NOMINAL_DH
+from ur_core.tools.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 
 IDS = dual_ur10.ENV_IDS
 SINE = "DualUR10/SineTracking-v0"
@@ -95,10 +95,11 @@ def test_a_simulation_loads_no_opengl_and_no_code_of_real_arms():
     result = subprocess.run([sys.executable, "-c", code], check=True, timeout=120, capture_output=True, text=True)
     loaded = set(result.stdout.split())
     assert not {"mujoco.egl", "mujoco.osmesa", "OpenGL.GL", "pydantic"} & loaded
-    own = [name for name in loaded if name.split(".")[0] == "dual_ur10"]
+    own = [name for name in loaded if name.split(".")[0] in ("dual_ur10", "ur_core", "ur_emulator")]
     assert len(own) <= 105
     rooms = {name.split(".")[2] for name in own if name.startswith("dual_ur10.sim2real.")}
-    assert rooms == {"config", "control", "processes"}
+    assert rooms == {"config", "control"}
+    assert not {"ur_core.links", "ur_core.protocol", "ur_emulator"} & loaded
     assert not [name for name in own if name.startswith("dual_ur10.sim2real.config.cell_file")]
 
 
@@ -586,7 +587,7 @@ def test_every_whole_rate_works(rate):
 
 
 def test_e_series_runs_at_its_own_tick():
-    from dual_ur10.sim2real.control.servoj import ServojProfile
+    from ur_core.servoj import ServojProfile
 
     cell = CellConfig(servoj=ServojProfile("e-series"), timestep_s=0.001)
     env = gym.make(SINE, cell=cell, duration_s=1.0)

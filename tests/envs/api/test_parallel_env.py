@@ -15,10 +15,10 @@ import dual_ur10
 from dual_ur10 import errors
 from dual_ur10.envs import aec_env, parallel_env
 from dual_ur10.envs.api.parallel_env import DualArmParallelEnv
-from dual_ur10.kinematics.ur10 import ARMS
 from tests import scripts
 from tests.envs.equality import equal
 from tests.soak import scaled
+from ur_core.kinematics.ur10 import ARMS
 
 IDS = dual_ur10.ENV_IDS
 SINE = "DualUR10/SineTracking-v0"

@@ -7,9 +7,9 @@ import pytest
 import dual_ur10
 from dual_ur10 import errors
 from dual_ur10.envs import parallel_env
-from dual_ur10.kinematics.ur10 import ARMS
 from tests.envs.equality import equal
 from tests.soak import scaled
+from ur_core.kinematics.ur10 import ARMS
 
 IDS = dual_ur10.ENV_IDS
 SINE = "DualUR10/SineTracking-v0"

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from dual_ur10 import Perturbation
-from dual_ur10.assets.gains import COMPLIANT
 from dual_ur10.envs import dm_env
 from dual_ur10.envs.api.dual_arm_env import DualArmEnv
 from dual_ur10.envs.api.parallel_env import parallel_env
@@ -23,6 +22,7 @@ from dual_ur10.policies.evaluation.rollout import rollout
 from dual_ur10.sim2real.config.cell_file import load_cell_file
 from dual_ur10.sim2real.config.cell_file_reference import starting_text
 from dual_ur10.sim2real.runtime.rtde_cell import RtdeCell
+from ur_core.mjcf.gains import COMPLIANT
 
 SINE, HANDOVER = "DualUR10/SineTracking-v0", "DualUR10/Handover-v0"
 BY_THEMSELVES = "episodes that begin by themselves, as in training, on a cell of controllers"

@@ -6,10 +6,10 @@ from dual_ur10.assets.props import BAR
 from dual_ur10.assets.settings import Equipment
 from dual_ur10.envs.core.randomization import Randomization
 from dual_ur10.envs.core.sensing import Sensing
-from dual_ur10.kinematics.frames import Frames
-from dual_ur10.kinematics.poses import Poses
-from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply, quat_to_rotvec
 from dual_ur10.sim2real.config.cell import CellState
+from ur_core.kinematics.frames import Frames
+from ur_core.kinematics.poses import Poses
+from ur_core.kinematics.rotations import quat_from_rotvec, quat_multiply, quat_to_rotvec
 
 N = 4
 CELL = CellConfig(left=ArmMount((-0.75, 0.6, 0.0), 0.3), equipment=Equipment(grippers=True, props=(BAR,)))

@@ -13,17 +13,17 @@ from dual_ur10.assets.settings import Equipment, SceneSettings, home_q_rad
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.sim.mujoco_cell import MujocoCell
 from dual_ur10.errors import SettingsError
-from dual_ur10.kinematics import flange_pose_quat
-from dual_ur10.kinematics.frames import MAX_TILT_RAD, ArmMount, Frames, to_base, yaw_and_tilt
-from dual_ur10.kinematics.poses import Poses
-from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply, quat_to_matrix
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies.scripted.base import on_table
 from dual_ur10.sim2real.analysis.tracks import flange_of
 from dual_ur10.sim2real.config.cell import CellConfig, Start
 from dual_ur10.sim2real.config.perturbation import Perturbation
 from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.recording.header import _mount, _plain_mount
+from ur_core.kinematics import flange_pose_quat
+from ur_core.kinematics.frames import MAX_TILT_RAD, ArmMount, Frames, to_base, yaw_and_tilt
+from ur_core.kinematics.poses import Poses
+from ur_core.kinematics.rotations import quat_from_rotvec, quat_multiply, quat_to_matrix
+from ur_core.kinematics.ur10 import ARMS
 
 MOUNTS = (
     ArmMount((-0.75, 0.6, 0.02), 0.2, tilt_rad=(0.05, -0.03)),

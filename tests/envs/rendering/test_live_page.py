@@ -39,12 +39,12 @@ from dual_ur10.envs.rendering.live.viewpoints import CAMERA, NARROW_CAMERA, look
 from dual_ur10.errors import DeviceUnpluggedError, MissingExtraError, SettingsError
 from dual_ur10.policies.operators.device import checked
 from dual_ur10.policies.operators.page import PageDevice
-from dual_ur10.sim2real.processes.system import LOCAL
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
 from dual_ur10.sim2real.runtime.live_view import LiveView
 from tests.policies.operators.rigs import RawPage
 from tests.waiting import until
+from ur_core.processes.system import LOCAL
 
 viser = pytest.importorskip("viser")
 websockets = pytest.importorskip("websockets.asyncio.client")

@@ -18,10 +18,10 @@ from gymnasium.utils.env_checker import check_env
 import dual_ur10  # noqa: F401 - registers the ids
 from dual_ur10.assets.scene import build_model
 from dual_ur10.assets.settings import SceneSettings
-from dual_ur10.envs.rendering import viewer as module
-from dual_ur10.envs.rendering import web_viewer
-from dual_ur10.envs.rendering.viewer import Viewer
 from dual_ur10.errors import RenderError
+from ur_core.viewing import viewer as module
+from ur_core.viewing import web_viewer
+from ur_core.viewing.viewer import Viewer
 
 ENV_ID = "DualUR10/SineTracking-v0"
 WAIT_S = 10.0

@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-from dual_ur10.assets.generic_140 import GENERIC_140
-from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 from dual_ur10.assets.settings import Equipment
 from dual_ur10.envs.sim.handling import LATENCY_S, GripperServos
 from dual_ur10.envs.sim.mujoco_cell import MujocoCell
@@ -12,6 +10,8 @@ from dual_ur10.errors import ActionError, SettingsError
 from dual_ur10.sim2real.config.cell import CellConfig, Start
 from dual_ur10.sim2real.control.adapter import Command
 from tests.envs.sim.test_mujoco_cell import home
+from ur_core.tools.generic_140 import GENERIC_140
+from ur_core.tools.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 
 TICKS = 5
 

@@ -6,21 +6,21 @@ import numpy as np
 import pytest
 
 from dual_ur10.assets.collision_model import build_collision_model
-from dual_ur10.assets.gains import COMPLIANT, INTEGRATORS
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.sim.feedforward import FeedForward
 from dual_ur10.envs.sim.mujoco_cell import MujocoCell
 from dual_ur10.envs.sim.servo_reference import Motion, ServojReference, TargetDelay
 from dual_ur10.errors import ClosedError, SettingsError, UnknownNameError
-from dual_ur10.kinematics import flange_pose
-from dual_ur10.kinematics.dynamics import inverse_dynamics
-from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.ur10 import ARMS, LINK_MASS_KG, LINKS, NOMINAL_DH
 from dual_ur10.sim2real.config.cell import CellConfig, Start
 from dual_ur10.sim2real.config.perturbation import Perturbation
 from dual_ur10.sim2real.control.adapter import Command
-from dual_ur10.sim2real.control.servoj import ServojLaw, ServojProfile
+from ur_core.kinematics import flange_pose
+from ur_core.kinematics.dynamics import inverse_dynamics
+from ur_core.kinematics.frames import ArmMount
+from ur_core.kinematics.ur10 import ARMS, LINK_MASS_KG, LINKS, NOMINAL_DH
+from ur_core.mjcf.gains import COMPLIANT, INTEGRATORS
+from ur_core.servoj import ServojLaw, ServojProfile
 
 TICKS = 5
 LOOKAHEAD_S, GAIN, STEP_S = 0.03, 2000.0, 0.002

@@ -11,15 +11,15 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from dual_ur10.assets.settings import default_mount, home_q_rad
-from dual_ur10.assets.torque_control import Torques
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.sim.physics import Physics
 from dual_ur10.envs.sim.servo_reference import Motion
-from dual_ur10.kinematics.dynamics import inverse_dynamics, mass_matrix
-from dual_ur10.kinematics.robots import ROBOTS
 from dual_ur10.sim2real.config.cell import CellConfig, Perturbation, Start
-from dual_ur10.types import Array
 from tests.soak import scaled
+from ur_core.kinematics.dynamics import inverse_dynamics, mass_matrix
+from ur_core.kinematics.robots import ROBOTS
+from ur_core.mjcf.torque_control import Torques
+from ur_core.types import Array
 
 FRICTION_NM = np.array([5.0, 5.0, 3.0, 1.0, 1.0, 1.0])
 STILL = np.zeros(6)

@@ -9,7 +9,7 @@ import pytest
 from dual_ur10.assets.prop import Prop
 from dual_ur10.envs import parallel_env
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.kinematics.frames import Frames
+from ur_core.kinematics.frames import Frames
 
 FREE = "DualUR10/Free-v0"
 CUP = """<mujoco><worldbody><body name="cup" pos="0.2 -0.3 0.05"><freejoint/>

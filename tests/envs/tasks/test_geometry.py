@@ -8,14 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dual_ur10 import ArmMount
-from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85
 from dual_ur10.envs.tasks.geometry import TOOL, FrameDistances, Goal, GoalSteps, Grasps, frame_of
 from dual_ur10.errors import SettingsError
-from dual_ur10.kinematics import flange_pose_quat
-from dual_ur10.kinematics.frames import Frames
-from dual_ur10.kinematics.poses import Poses, compose, relative_to, rotation_angle
-from dual_ur10.kinematics.rotations import quat_between, quat_from_rotvec, quat_multiply, quat_to_matrix
 from dual_ur10.sim2real.config.cell import CellState
+from ur_core.kinematics import flange_pose_quat
+from ur_core.kinematics.frames import Frames
+from ur_core.kinematics.poses import Poses, compose, relative_to, rotation_angle
+from ur_core.kinematics.rotations import quat_between, quat_from_rotvec, quat_multiply, quat_to_matrix
+from ur_core.tools.robotiq_2f85 import ROBOTIQ_2F85
 
 N, WIDTH_M = 40, 0.05
 FRAMES = Frames((ArmMount((-0.7, 0.6, 0.1), 0.2), ArmMount((-0.8, -0.5, 0.0), -0.3)))

@@ -15,12 +15,12 @@ from dual_ur10.envs.tasks.observation_layout import ARM_FIELDS, Field, Observati
 from dual_ur10.envs.tasks.staged import stage
 from dual_ur10.envs.tasks.task import SceneRequirements, Timing
 from dual_ur10.errors import SettingsError
-from dual_ur10.kinematics.forward import flange_pose_quat
-from dual_ur10.kinematics.frames import Frames
-from dual_ur10.kinematics.poses import Poses, compose, pose, relative_to
 from dual_ur10.registration import register
 from dual_ur10.sim2real.config.cell import CellConfig, CellState
 from dual_ur10.sim2real.control.limits import MotionLimits
+from ur_core.kinematics.forward import flange_pose_quat
+from ur_core.kinematics.frames import Frames
+from ur_core.kinematics.poses import Poses, compose, pose, relative_to
 
 N = 2
 CASE = Prop(

@@ -6,13 +6,13 @@ from dual_ur10.envs.core.core import Core
 from dual_ur10.envs.tasks.handover.goals import WIDTH_M
 from dual_ur10.envs.tasks.handover.settings import GRIPS, HandoverSettings, block_pose, laid_quat, presented_quat
 from dual_ur10.envs.tasks.handover.task import Handover, facts_of
-from dual_ur10.kinematics import flange_pose_quat
-from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.poses import yaw_quat
-from dual_ur10.kinematics.rotations import quat_to_matrix, rotate
-from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.config.cell import CellConfig
 from tests.soak import scaled
+from ur_core.kinematics import flange_pose_quat
+from ur_core.kinematics.frames import ArmMount
+from ur_core.kinematics.poses import yaw_quat
+from ur_core.kinematics.rotations import quat_to_matrix, rotate
+from ur_core.kinematics.ur10 import NOMINAL_DH
 
 BEHIND, ASIDE = ArmMount((-1.1, -0.6, 0.0)), ArmMount((-0.75, 1.2, 0.0))
 STAGES = Handover.stages

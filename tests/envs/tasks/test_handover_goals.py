@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from dual_ur10 import policies
-from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 from dual_ur10.envs.core.core import Core
 from dual_ur10.envs.tasks.geometry import flanges_of
 from dual_ur10.envs.tasks.handover.settings import APPROACH_M, GRIPS, MEETING_M, laid_quat, presented_quat
-from dual_ur10.kinematics.frames import Frames
-from dual_ur10.kinematics.poses import Poses, compose, length
-from dual_ur10.kinematics.rotations import quat_conjugate, quat_multiply, quat_to_matrix
+from ur_core.kinematics.frames import Frames
+from ur_core.kinematics.poses import Poses, compose, length
+from ur_core.kinematics.rotations import quat_conjugate, quat_multiply, quat_to_matrix
+from ur_core.tools.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 
 
 def begun(seeds=(0,), **keywords):

@@ -14,9 +14,9 @@ from dual_ur10.envs.tasks.sync_carry.path import MOVES, CarryPath
 from dual_ur10.envs.tasks.sync_carry.settings import bar_pose
 from dual_ur10.envs.tasks.sync_carry.task import CarryMeasured
 from dual_ur10.errors import SettingsError
-from dual_ur10.kinematics.poses import Poses, compose, relative_to, rotation_angle
-from dual_ur10.kinematics.rotations import quat_from_rotvec, rotate
 from tests.soak import SOAK
+from ur_core.kinematics.poses import Poses, compose, relative_to, rotation_angle
+from ur_core.kinematics.rotations import quat_from_rotvec, rotate
 
 CARRY = "DualUR10/SyncCarry-v0"
 SHORT = 220  # steps after which the bar of the default path is 0.2 m above the table

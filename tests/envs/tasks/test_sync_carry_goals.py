@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from dual_ur10 import policies
-from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 from dual_ur10.envs.core.core import Core
 from dual_ur10.envs.tasks.geometry import APPROACH_M, flanges_of
 from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings
-from dual_ur10.kinematics import nearest
-from dual_ur10.kinematics.frames import Frames
-from dual_ur10.kinematics.poses import Poses, compose, length
-from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply, quat_to_matrix
+from ur_core.kinematics import nearest
+from ur_core.kinematics.frames import Frames
+from ur_core.kinematics.poses import Poses, compose, length
+from ur_core.kinematics.rotations import quat_from_rotvec, quat_multiply, quat_to_matrix
+from ur_core.tools.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 
 CARRY = "DualUR10/SyncCarry-v0"
 SAME = np.array([1.0, 0.0, 0.0, 0.0])

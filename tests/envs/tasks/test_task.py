@@ -16,11 +16,11 @@ from dual_ur10.envs.tasks.sine_tracking.settings import (
     sample_path,
 )
 from dual_ur10.envs.tasks.task import gaussian
-from dual_ur10.kinematics import flange_pose
-from dual_ur10.kinematics.frames import ArmMount, Frames, to_base
-from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_to_matrix
-from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.config.cell import CellConfig
+from ur_core.kinematics import flange_pose
+from ur_core.kinematics.frames import ArmMount, Frames, to_base
+from ur_core.kinematics.rotations import quat_from_rotvec, quat_to_matrix
+from ur_core.kinematics.ur10 import NOMINAL_DH
 
 
 @pytest.mark.parametrize("margin", [0.005, 0.02])

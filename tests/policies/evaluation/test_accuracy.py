@@ -13,10 +13,6 @@ import dual_ur10  # noqa: F401 - registers the ids
 from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.envs.tasks.sine_tracking.settings import TOOL_DOWN_QUAT
 from dual_ur10.errors import SettingsError
-from dual_ur10.kinematics import nearest
-from dual_ur10.kinematics.frames import ArmMount, to_base
-from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply, quat_to_matrix
-from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.policies.evaluation.accuracy import (
     accuracy,
     along_axis,
@@ -28,6 +24,10 @@ from dual_ur10.policies.evaluation.accuracy import (
 )
 from dual_ur10.policies.evaluation.rollout import Record, rollout
 from dual_ur10.policies.scripted.sine_tracking import SineTrackingPolicy
+from ur_core.kinematics import nearest
+from ur_core.kinematics.frames import ArmMount, to_base
+from ur_core.kinematics.rotations import quat_from_rotvec, quat_multiply, quat_to_matrix
+from ur_core.kinematics.ur10 import NOMINAL_DH
 
 Array = NDArray[np.float64]
 

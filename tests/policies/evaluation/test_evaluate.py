@@ -23,7 +23,7 @@ from rich.console import Console
 from scipy.stats import binomtest
 
 import dual_ur10
-from dual_ur10 import CellConfig, Perturbation, errors, files, policies
+from dual_ur10 import CellConfig, Perturbation, errors, policies
 from dual_ur10.ids import TASKS, TaskEntry
 from dual_ur10.policies.evaluation.evaluate import evaluate
 from dual_ur10.policies.evaluation.results import Episode, Evaluation, wilson_interval
@@ -31,6 +31,7 @@ from dual_ur10.policies.evaluation.rollout import rollout
 from dual_ur10.policies.policy import EpisodeAware
 from dual_ur10.policies.registry import load, shipped_folder
 from tests.soak import scaled
+from ur_core import files
 
 SINE = "DualUR10/SineTracking-v0"
 STUB = "Test/Stub-v0"

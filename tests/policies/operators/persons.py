@@ -8,7 +8,6 @@ import numpy as np
 
 from dual_ur10 import policies
 from dual_ur10.errors import CellFaulted
-from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply
 from dual_ur10.policies.evaluation.rollout import act
 from dual_ur10.policies.operators.device import FULL_TWIST
 from dual_ur10.policies.operators.leader import Leader
@@ -16,6 +15,7 @@ from dual_ur10.policies.operators.spacemouse import SpaceMouse
 from dual_ur10.testing import VirtualCell
 from tests.policies.operators.hands import Hand, commanded, operator_of, twist
 from tests.policies.operators.rigs import RawLeader, RawMouse, RawPage
+from ur_core.kinematics.rotations import quat_from_rotvec, quat_multiply
 
 LEAST = 0.004  # of full speed: smaller steps are no deflection of the cap
 

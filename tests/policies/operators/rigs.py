@@ -16,7 +16,7 @@ from dual_ur10.envs.rendering.live.memory import Handles
 from dual_ur10.policies.operators import dynamixel
 from dual_ur10.policies.operators.device import FULL_TWIST
 from dual_ur10.policies.operators.page import PageDevice, open_page
-from dual_ur10.sim2real.processes.system import LOCAL
+from ur_core.processes.system import LOCAL
 
 FOREVER_S = 1e9
 

@@ -12,12 +12,12 @@ from dual_ur10.errors import (
     StopPressedError,
     UnknownNameError,
 )
-from dual_ur10.kinematics.poses import Poses, relative_to
-from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply
 from dual_ur10.policies.operators.device import FULL_TWIST
 from dual_ur10.policies.operators.mapping import Mapping
 from dual_ur10.policies.operators.operator import Operator
 from tests.policies.operators.hands import Hand, commanded, led, operator_of, twist
+from ur_core.kinematics.poses import Poses, relative_to
+from ur_core.kinematics.rotations import quat_from_rotvec, quat_multiply
 
 MODES = ("tcp_delta", "joint_delta", "joint_position")
 FORWARD = (0.25, 0, 0, 0, 0, 0)

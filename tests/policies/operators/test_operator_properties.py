@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from dual_ur10.kinematics.poses import Poses, relative_to
 from tests.policies.operators.hands import Hand, led, twist
+from ur_core.kinematics.poses import Poses, relative_to
 
 SPEEDS = st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6)
 INPUTS = st.lists(st.tuples(SPEEDS, SPEEDS, st.booleans(), st.booleans()), min_size=4, max_size=25)

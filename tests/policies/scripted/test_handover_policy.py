@@ -4,20 +4,20 @@ import numpy as np
 import pytest
 
 from dual_ur10 import errors
-from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85
 from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
 from dual_ur10.envs.core.core import Core
 from dual_ur10.envs.tasks.handover.settings import GRIPS, block_pose
-from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.poses import Poses, compose
 from dual_ur10.policies.policy import Policy
 from dual_ur10.policies.scripted.free_motion import FreeMotion, Waypoint
 from dual_ur10.policies.scripted.handover import HandoverPolicy
 from dual_ur10.policies.scripted.handover_paths import HandoverPaths
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.config.perturbation import TYPICAL_PERTURBATION
-from dual_ur10.sim2real.control.servoj import ServojProfile
 from tests.soak import SOAK, scaled
+from ur_core.kinematics.frames import ArmMount
+from ur_core.kinematics.poses import Poses, compose
+from ur_core.servoj import ServojProfile
+from ur_core.tools.robotiq_2f85 import ROBOTIQ_2F85
 
 NOISE = {"object_noise_m": 0.002, "object_noise_rad": np.deg2rad(1.0)}
 

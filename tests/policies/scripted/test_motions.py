@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 
 from dual_ur10.assets.settings import SceneSettings, home_q_rad
-from dual_ur10.assets.tool import levers_m
 from dual_ur10.envs.tasks.handover.task import Handover
 from dual_ur10.envs.tasks.sine_tracking.task import SineTracking
 from dual_ur10.envs.tasks.task import Timing
-from dual_ur10.kinematics import flange_pose_quat
-from dual_ur10.kinematics.frames import Frames
-from dual_ur10.kinematics.poses import Poses, pose, relative_to, rotation_angle, yaw_quat
-from dual_ur10.kinematics.rotations import quat_multiply, rotate
 from dual_ur10.policies.scripted.base import Script
 from dual_ur10.policies.scripted.motions import Motions, least_jerk, pair, raised
+from ur_core.kinematics import flange_pose_quat
+from ur_core.kinematics.frames import Frames
+from ur_core.kinematics.poses import Poses, pose, relative_to, rotation_angle, yaw_quat
+from ur_core.kinematics.rotations import quat_multiply, rotate
+from ur_core.tools.tool import levers_m
 
 TIMING = Timing(0.04, 0.04)
 MOUNTS = SceneSettings().mounts

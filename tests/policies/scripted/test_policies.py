@@ -12,13 +12,13 @@ from dual_ur10.envs.sim import mujoco_cell
 from dual_ur10.envs.sim.mujoco_cell import MujocoCell
 from dual_ur10.envs.tasks.sine_tracking.task import SineTracking
 from dual_ur10.envs.tasks.sync_carry.task import SyncCarry
-from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.ur10 import DH_A_M, NOMINAL_DH
 from dual_ur10.policies.scripted.lag_model import DeviationModel
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.config.perturbation import TYPICAL_PERTURBATION
 from dual_ur10.sim2real.control.limits import Envelope
 from tests.soak import SOAK
+from ur_core.kinematics.frames import ArmMount
+from ur_core.kinematics.ur10 import DH_A_M, NOMINAL_DH
 
 SINE = "DualUR10/SineTracking-v0"
 UNEVEN = {"left": ArmMount((-0.75, 0.6, 0.0)), "right": ArmMount((-0.92, -0.45, 0.08))}

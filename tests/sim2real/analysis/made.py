@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.kinematics.ur10 import NOMINAL_DH
-from dual_ur10.sim2real.control.servoj import ServojLaw
 from dual_ur10.sim2real.recording.run import ArmLog, Episode, Header, Run
+from ur_core.kinematics.ur10 import NOMINAL_DH
+from ur_core.servoj import ServojLaw
 
 Array = NDArray[np.float64]
 

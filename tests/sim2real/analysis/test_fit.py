@@ -18,9 +18,9 @@ from dual_ur10.sim2real.analysis.cell_update import write_back
 from dual_ur10.sim2real.analysis.fit import ArmFit, Estimate, fit, remark, respond
 from dual_ur10.sim2real.config.cell_file import load_cell_file
 from dual_ur10.sim2real.config.cell_file_tables import Measured
-from dual_ur10.sim2real.control.servoj import ServojLaw
 from tests.sim2real.analysis.made import header, motion, run, with_arm
 from tests.soak import scaled
+from ur_core.servoj import ServojLaw
 
 PART_S = 0.001  # of a made-up run
 

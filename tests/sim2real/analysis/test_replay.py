@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from dual_ur10 import ENV_IDS, TYPICAL_PERTURBATION, ArmMount, CellConfig, ServojProfile
-from dual_ur10.assets.gains import STIFF, Gains
 from dual_ur10.assets.obstacles import Box
 from dual_ur10.assets.prop import Capsule, Prop
 from dual_ur10.assets.settings import Equipment
@@ -39,6 +38,7 @@ from tests.assets.test_arm_shape import OWN
 from tests.sim2real.analysis.made import DH, header
 from tests.sim2real.analysis.recorded import record
 from tests.soak import scaled
+from ur_core.mjcf.gains import STIFF, Gains
 
 SINE = ENV_IDS[0]
 STEPS = scaled(400)

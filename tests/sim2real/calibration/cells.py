@@ -3,11 +3,11 @@
 import numpy as np
 
 from dual_ur10.assets.settings import SceneSettings
-from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.calibration.observations import Noise
 from dual_ur10.sim2real.calibration.recording import touched
 from dual_ur10.sim2real.calibration.suggestions import plan, touch_candidates
 from dual_ur10.sim2real.calibration.transforms import right_in_left, rotation_of, rotvec_of
+from ur_core.kinematics.ur10 import NOMINAL_DH
 
 MOUNTS = SceneSettings().mounts
 NEAR = right_in_left(*MOUNTS)

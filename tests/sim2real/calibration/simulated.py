@@ -8,11 +8,11 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.errors import UnreachableError
-from dual_ur10.kinematics.inverse import nearest, try_nearest
-from dual_ur10.kinematics.ur10 import DH_A_M, DH_ALPHA_RAD, DH_D_M, DHParameters
 from dual_ur10.sim2real.calibration.observations import BarPose, BoardView, JointAngles, Noise
 from dual_ur10.sim2real.calibration.transforms import flange, inverse_of, rotation_of, rotvec_of, transform
-from dual_ur10.types import Array
+from ur_core.kinematics.inverse import nearest, try_nearest
+from ur_core.kinematics.ur10 import DH_A_M, DH_ALPHA_RAD, DH_D_M, DHParameters
+from ur_core.types import Array
 
 BAR_M: Final = 1.0
 """Length of the simulated bar between both flanges."""

@@ -9,14 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dual_ur10.errors import CalibrationError
-from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.calibration.estimate import BaseEstimate, estimate
 from dual_ur10.sim2real.calibration.observations import BarPose, BoardView, Noise, Touch
 from dual_ur10.sim2real.calibration.transforms import flange, inverse_of, right_in_left, rotation_of, transform
 from tests.sim2real.calibration.cells import CANDIDATES, MOUNTS, NEAR, NOISE, NOMINAL, error_of, shifted, touches
 from tests.sim2real.calibration.simulated import bar_poses, board_views, random_dh
 from tests.soak import scaled
+from ur_core.kinematics.frames import ArmMount
+from ur_core.kinematics.ur10 import NOMINAL_DH
 
 EXACT = Noise(1e-9, 1e-9, 1e-9, 1e-9, 1e-9)
 

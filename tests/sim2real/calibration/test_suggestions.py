@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from dual_ur10.errors import CalibrationError
-from dual_ur10.kinematics.robots import robot_model
-from dual_ur10.kinematics.ur10 import nominal_dh
 from dual_ur10.sim2real.calibration.estimate import estimate
 from dual_ur10.sim2real.calibration.suggestions import bar_candidates, best, plan, touch_candidates
 from dual_ur10.sim2real.calibration.transforms import flange, transform
 from tests.sim2real.calibration.cells import CANDIDATES, NEAR, NOISE, NOMINAL, PLANNED, TIP_M, shifted, touches
 from tests.sim2real.calibration.simulated import bar_poses, held
+from ur_core.kinematics.robots import robot_model
+from ur_core.kinematics.ur10 import nominal_dh
 
 
 def test_candidates_are_points_that_both_tips_reach():

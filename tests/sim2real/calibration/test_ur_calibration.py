@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from dual_ur10.errors import CalibrationError, SettingsError
-from dual_ur10.kinematics.forward import fixed_transforms
-from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.calibration.transforms import flange, rotation_of, transform
 from dual_ur10.sim2real.calibration.ur_calibration import FRAMES, of_frames, read
 from tests.sim2real.calibration.simulated import random_dh
+from ur_core.kinematics.forward import fixed_transforms
+from ur_core.kinematics.ur10 import NOMINAL_DH
 
 # The nominal UR10: Universal_Robots_ROS2_Description, config/ur10/default_kinematics.yaml.
 NOMINAL = {

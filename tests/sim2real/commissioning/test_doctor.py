@@ -12,8 +12,6 @@ from typer.testing import CliRunner
 
 from dual_ur10.cli import main as cli
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.kinematics.robots import MODEL_OF_FAMILY
-from dual_ur10.kinematics.ur10 import DH_A_M, NOMINAL_DH, nominal_dh
 from dual_ur10.sim2real.commissioning import doctor
 from dual_ur10.sim2real.commissioning.doctor import REGISTERS, Route
 from dual_ur10.sim2real.commissioning.findings import (
@@ -31,14 +29,16 @@ from dual_ur10.sim2real.commissioning.findings import (
     tool_findings,
 )
 from dual_ur10.sim2real.config.cell_file import CellFile
-from dual_ur10.sim2real.links.primary_link import PrimaryFacts
-from dual_ur10.sim2real.links.rtde_link import RtdeClient
-from dual_ur10.sim2real.links.rtde_stream import Sample
-from dual_ur10.sim2real.processes.system import LOCAL
-from dual_ur10.sim2real.protocol.primary_packet import kinematics_checksums
-from dual_ur10.sim2real.protocol.rtde import Kind
 from dual_ur10.testing import VirtualCell
 from tests.sim2real.statuses import status_of
+from ur_core.kinematics.robots import MODEL_OF_FAMILY
+from ur_core.kinematics.ur10 import DH_A_M, NOMINAL_DH, nominal_dh
+from ur_core.links.primary_link import PrimaryFacts
+from ur_core.links.rtde_link import RtdeClient
+from ur_core.links.rtde_stream import Sample
+from ur_core.processes.system import LOCAL
+from ur_core.protocol.primary_packet import kinematics_checksums
+from ur_core.protocol.rtde import Kind
 from ur_emulator.profile import PROFILES
 
 TIMED = {"RTDE rate", "RTDE jitter", "round trip"}

@@ -6,8 +6,8 @@ import pytest
 
 from dual_ur10.errors import LinkError, OperationRefusedError
 from dual_ur10.sim2real.commissioning import power
-from dual_ur10.sim2real.links.dashboard_link import DashboardLink
 from dual_ur10.testing import VirtualCell
+from ur_core.links.dashboard_link import DashboardLink
 
 ARMS = ("left", "right")
 

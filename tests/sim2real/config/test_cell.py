@@ -14,13 +14,13 @@ from dual_ur10.assets.collision_model import clearance_pairs
 from dual_ur10.assets.obstacles import Box
 from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.errors import CellFileError, RateError, SettingsError, UnknownNameError
-from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.sim2real.config.cell import LATENCY_S, CellConfig
 from dual_ur10.sim2real.config.named_cell import resolve_cell
 from dual_ur10.sim2real.config.perturbation import TYPICAL_PERTURBATION
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.limits import MotionLimits
-from dual_ur10.sim2real.control.servoj import ServojProfile
+from ur_core.kinematics.frames import ArmMount
+from ur_core.servoj import ServojProfile
 
 NAN, INF = float("nan"), float("inf")
 

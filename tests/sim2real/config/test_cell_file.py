@@ -17,15 +17,11 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from dual_ur10 import ENV_IDS
-from dual_ur10.assets.gains import STIFF, Gains
 from dual_ur10.assets.obstacles import Box, Capsule, Plane
 from dual_ur10.assets.props import BLOCK
-from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85
 from dual_ur10.assets.settings import Equipment, SceneSettings
 from dual_ur10.envs.api.dual_arm_env import DualArmEnv
 from dual_ur10.errors import CellFileError, DualUR10Error, SettingsError
-from dual_ur10.kinematics import ur10
-from dual_ur10.kinematics.robots import ROBOTS
 from dual_ur10.sim2real.config import cell_file as module
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.config.cell_file import CellFile, examine_text, keys, load_cell_file
@@ -47,8 +43,12 @@ from dual_ur10.sim2real.config.cell_file_tables import (
 from dual_ur10.sim2real.config.cell_file_text import Key, toml_text
 from dual_ur10.sim2real.config.perturbation import Perturbation
 from dual_ur10.sim2real.control.limits import MotionLimits
-from dual_ur10.sim2real.control.servoj import ServojProfile
 from tests.soak import scaled
+from ur_core.kinematics import ur10
+from ur_core.kinematics.robots import ROBOTS
+from ur_core.mjcf.gains import STIFF, Gains
+from ur_core.servoj import ServojProfile
+from ur_core.tools.robotiq_2f85 import ROBOTIQ_2F85
 from ur_emulator.emulator import Emulator, EmulatorOptions, write_cell_file
 
 VALVE = dataclasses.replace(ROBOTIQ_2F85, name="valve", drivers=("digital_output",))

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from dual_ur10.kernel import Struct, call
-from dual_ur10.kinematics.ur10 import DH_A_M, DH_D_M
 from dual_ur10.sim2real.control.limits import HISTORY, Envelope, MotionLimits
+from ur_core.kernel import Struct, call
+from ur_core.kinematics.ur10 import DH_A_M, DH_D_M
 
 HARD = MotionLimits()
 TIGHT = MotionLimits(speed_rad_s=0.5, acceleration_rad_s2=4.0, jerk_rad_s3=200.0, tcp_speed_m_s=0.25)

@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 
 from dual_ur10.assets.settings import SceneSettings
-from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD, NOMINAL_DH, DHParameters
+from ur_core.kinematics.frames import ArmMount
+from ur_core.kinematics.ur10 import JOINT_RANGE_RAD, NOMINAL_DH, DHParameters
 
 CALIBRATED = DHParameters(
     a_m=(0.0003, -0.6111, -0.5731, 0.0002, -0.0001, 0.0),

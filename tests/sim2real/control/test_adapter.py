@@ -10,9 +10,6 @@ import pytest
 
 from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.errors import UnknownNameError
-from dual_ur10.kernel import call
-from dual_ur10.kinematics import flange_pose
-from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD, NOMINAL_DH, nominal_dh
 from dual_ur10.sim2real.control.adapter import (
     _NOW,
     JOINT_MARGIN_RAD,
@@ -21,7 +18,6 @@ from dual_ur10.sim2real.control.adapter import (
     ServojAdapter,
 )
 from dual_ur10.sim2real.control.limits import HISTORY, Envelope, MotionLimits
-from dual_ur10.sim2real.control.servoj import ServojLaw, ServojProfile
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory
 from tests.sim2real.control.motion_checks import (
     ACTION_KINDS,
@@ -34,6 +30,10 @@ from tests.sim2real.control.motion_checks import (
     cartesian_use,
     limit_use,
 )
+from ur_core.kernel import call
+from ur_core.kinematics import flange_pose
+from ur_core.kinematics.ur10 import JOINT_RANGE_RAD, NOMINAL_DH, nominal_dh
+from ur_core.servoj import ServojLaw, ServojProfile
 
 MODES = ("joint_delta", "joint_position", "tcp_delta")
 CB3, E_SERIES = ServojProfile(), ServojProfile(family="e-series")

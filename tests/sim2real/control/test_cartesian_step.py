@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from dual_ur10.assets.settings import HOME_Q_RAD
-from dual_ur10.kinematics.forward import pose_and_jacobian
-from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.control.adapter import TCP_ROTATION_RAD_S, TCP_STEP_M_S, ServojAdapter
 from dual_ur10.sim2real.control.cartesian_step import HALT_CONDITION, SLOW_CONDITION, condition, fraction_of_step
-from dual_ur10.sim2real.control.servoj import ServojProfile
 from tests.sim2real.control.test_adapter import HARD
+from ur_core.kinematics.forward import pose_and_jacobian
+from ur_core.kinematics.ur10 import NOMINAL_DH
+from ur_core.servoj import ServojProfile
 
 # Joint that leads an arm near home into a singularity, and its angle there.
 SINGULARITIES = {"elbow": (2, 0.0), "wrist": (4, 0.0)}

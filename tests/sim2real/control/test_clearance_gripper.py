@@ -10,11 +10,11 @@ from scipy.optimize import lsq_linear
 from dual_ur10.assets.cell_spec import joint_names
 from dual_ur10.assets.collision_model import CLEARANCE_CUTOFF_M, CLEARANCE_PAIRS, build_collision_model, clearance_pairs
 from dual_ur10.assets.props import BAR
-from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 from dual_ur10.assets.scene import build_model
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
-from dual_ur10.kinematics.frames import ArmMount
 from tests.sim2real.control.reference_cell import UNEQUAL, contacts, random_q, segment
+from ur_core.kinematics.frames import ArmMount
+from ur_core.tools.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 
 GRIPPERS = SceneSettings(equipment=Equipment(grippers=True))
 BOX = mujoco.mjtGeom.mjGEOM_BOX

@@ -15,11 +15,11 @@ from dual_ur10.assets.scene import build_model
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.envs.tasks.handover.settings import GRIPS
 from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings
-from dual_ur10.kinematics.poses import Poses
-from dual_ur10.kinematics.rotations import quat_to_matrix
-from dual_ur10.kinematics.ur10 import ARMS, LINKS
 from dual_ur10.sim2real.config.cell import CellConfig
 from tests.sim2real.control.reference_cell import random_q, segment
+from ur_core.kinematics.poses import Poses
+from ur_core.kinematics.rotations import quat_to_matrix
+from ur_core.kinematics.ur10 import ARMS, LINKS
 
 PROPS = {
     "bar": SceneSettings(equipment=Equipment(grippers=True, props=(BAR,))),

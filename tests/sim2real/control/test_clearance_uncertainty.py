@@ -13,11 +13,11 @@ from dual_ur10.assets.collision_model import CLEARANCE_CUTOFF_M, build_collision
 from dual_ur10.assets.obstacles import Box, Capsule, Plane
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.errors import CollisionAtStartError, SettingsError
-from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.control.clearance import MINIMUM_M, BaseUncertainty, Clearance
 from tests.sim2real.control.reference_cell import SHIFTED, UNEQUAL, random_q, segment
 from tests.soak import scaled
+from ur_core.kinematics.frames import ArmMount
+from ur_core.kinematics.ur10 import ARMS
 
 GRIPPERS = Equipment(grippers=True)
 FURNISHED = SceneSettings(

@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 from dual_ur10.assets.collision_model import clearance_pairs
 from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
 from dual_ur10.errors import ActionError, SettingsError
-from dual_ur10.kinematics.ur10 import ARMS, NOMINAL_DH
 from dual_ur10.sim2real.control.adapter import ServojAdapter
 from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import MotionLimits
-from dual_ur10.sim2real.control.servoj import ServojProfile
 from tests.sim2real.control.motion_checks import HARD, NARROW, TIGHT, TOOL, AlwaysClear, assert_within
+from ur_core.kinematics.ur10 import ARMS, NOMINAL_DH
+from ur_core.servoj import ServojProfile
 
 TICKS = 5
 TICK_S = {"cb3": 0.008, "e-series": 0.002}

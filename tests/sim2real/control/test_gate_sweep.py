@@ -11,16 +11,16 @@ import pytest
 from dual_ur10.assets.collision_model import CLEARANCE_CUTOFF_M
 from dual_ur10.assets.obstacles import Box, Capsule, Plane
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
-from dual_ur10.kernel import call
-from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.control.adapter import ServojAdapter
 from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance
 from dual_ur10.sim2real.control.gate import SWEEP_TOLERANCE_M, SafetyGate
 from dual_ur10.sim2real.control.limits import MotionLimits
-from dual_ur10.sim2real.control.servoj import ServojProfile
 from dual_ur10.sim2real.runtime.approach import Rates, plan, retreat_clearance
 from tests.sim2real.control.motion_checks import HARD, AlwaysClear, Measured
 from tests.sim2real.control.reference_cell import UNEQUAL, random_q
+from ur_core.kernel import call
+from ur_core.kinematics.ur10 import NOMINAL_DH
+from ur_core.servoj import ServojProfile
 
 WIDE_M = 0.01
 HOME = HOME_Q_RAD.reshape(12)

@@ -9,17 +9,17 @@ from hypothesis import strategies as st
 
 from dual_ur10.assets.obstacles import Box, Capsule
 from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
-from dual_ur10.kernel import call
-from dual_ur10.kinematics import flange_pose
-from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.control.adapter import TCP_STEP_M_S, ServojAdapter
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.gate import SWEEP_TOLERANCE_M, SafetyGate
 from dual_ur10.sim2real.control.leading import MARGIN_M
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.control.pipeline import ServojPipeline
-from dual_ur10.sim2real.control.servoj import ServojProfile
 from tests.sim2real.control.motion_checks import HARD, TIGHT, AlwaysClear, assert_within, braked
+from ur_core.kernel import call
+from ur_core.kinematics import flange_pose
+from ur_core.kinematics.ur10 import NOMINAL_DH
+from ur_core.servoj import ServojProfile
 
 MODES = ("joint_delta", "joint_position", "tcp_delta")
 PLATE = Box(name="plate", position_m=(0.3, 0.0, 0.9), size_m=(0.6, 0.01, 0.4))

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 from dual_ur10.errors import SettingsError
-from dual_ur10.kinematics import flange_pose
-from dual_ur10.kinematics.ur10 import HARD_SPEED_RAD_S, JOINT_RANGE_RAD, NOMINAL_DH, nominal_dh
 from dual_ur10.sim2real.control.limits import HISTORY, POINTS, Envelope, MotionLimits, reach_from_joint_m
 from tests.sim2real.control.motion_checks import (
     HARD,
@@ -20,6 +18,8 @@ from tests.sim2real.control.motion_checks import (
     cartesian_use,
     limit_use,
 )
+from ur_core.kinematics import flange_pose
+from ur_core.kinematics.ur10 import HARD_SPEED_RAD_S, JOINT_RANGE_RAD, NOMINAL_DH, nominal_dh
 
 SLUGGISH = MotionLimits(speed_rad_s=1.0, acceleration_rad_s2=0.5, jerk_rad_s3=2.0)
 LIMITS = (HARD, TIGHT, NARROW, SLUGGISH)
@@ -218,7 +218,7 @@ def test_tool_centre_points_are_three_numbers_for_each_arm(tcp_m: object) -> Non
 
 @pytest.mark.parametrize("robot", ["ur10", "ur3e", "ur20"])
 def test_the_assumed_reach_from_each_axis_is_an_upper_bound(robot: str) -> None:
-    from dual_ur10.kinematics import jacobian
+    from ur_core.kinematics import jacobian
 
     q = np.random.default_rng(5).uniform(-np.pi, np.pi, (20000, 6))
     q[:5000] = np.round(q[:5000] / (np.pi / 2)) * (np.pi / 2)  # the corners of the workspace

@@ -7,7 +7,7 @@ import pytest
 
 from dual_ur10.errors import SettingsError
 from dual_ur10.sim2real.control.link_profiles import PROFILES, LinkProfile, profile_for
-from dual_ur10.sim2real.control.servoj import ServojProfile
+from ur_core.servoj import ServojProfile
 
 PAGE = pathlib.Path(__file__).parents[3] / "docs" / "how-to" / "slow-links-and-serial-arms.md"
 

@@ -12,13 +12,11 @@ from hypothesis import strategies as st
 
 from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
 from dual_ur10.errors import ActionError
-from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.control.adapter import ServojAdapter
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.control.pipeline import ServojPipeline
-from dual_ur10.sim2real.control.servoj import ServojProfile
 from tests.sim2real.control.motion_checks import (
     ACTION_KINDS,
     HARD,
@@ -30,6 +28,8 @@ from tests.sim2real.control.motion_checks import (
     braked,
 )
 from tests.soak import SOAK
+from ur_core.kinematics.ur10 import NOMINAL_DH
+from ur_core.servoj import ServojProfile
 
 SOAK_TICKS = 20_000_000 if SOAK else 100_000
 MODES = ("joint_delta", "joint_position", "tcp_delta")

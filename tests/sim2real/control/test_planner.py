@@ -13,7 +13,6 @@ from dual_ur10.assets.obstacles import Box
 from dual_ur10.assets.props import BAR
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.errors import PlanningError
-from dual_ur10.kernel import call
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import MotionLimits
@@ -21,6 +20,7 @@ from dual_ur10.sim2real.control.planner import MARGIN_RAD, TOLERANCE_RAD, neares
 from dual_ur10.sim2real.runtime.approach import Approach, Rates, retreat_clearance
 from tests.sim2real.control.motion_checks import AlwaysClear, Measured
 from tests.soak import scaled
+from ur_core.kernel import call
 
 HOME = np.array(HOME_Q_RAD).reshape(12)
 LIMITS = MotionLimits()

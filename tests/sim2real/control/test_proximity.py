@@ -13,7 +13,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
-from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.control.adapter import ServojAdapter
 from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate, Verdict
@@ -26,10 +25,11 @@ from dual_ur10.sim2real.control.proximity import (
     ProximityScaling,
     proximity_scaling,
 )
-from dual_ur10.sim2real.control.servoj import ServojProfile
 from dual_ur10.sim2real.control.time_scaling import STEP, TimeScaling, interpolate
-from dual_ur10.types import Array
 from tests.sim2real.control.motion_checks import HARD, adversarial_action
+from ur_core.kinematics.ur10 import NOMINAL_DH
+from ur_core.servoj import ServojProfile
+from ur_core.types import Array
 
 SPARE = st.floats(-0.05, 0.2)
 SPEED = st.floats(-2.0, 2.0)

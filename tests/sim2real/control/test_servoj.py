@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import expm
 
 from dual_ur10.errors import RateError, SettingsError, UnknownNameError
-from dual_ur10.sim2real.control.servoj import ServojLaw, ServojProfile
+from ur_core.servoj import ServojLaw, ServojProfile
 
 # Under-, critically and over-damped; the second is exactly critical.
 LAWS = ((0.03, 2000.0), (0.04, 2500.0), (0.2, 100.0), (0.2, 2000.0), (0.1, 300.0), (0.03, 100.0))

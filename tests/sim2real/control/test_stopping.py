@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.sim2real.control import stopping
 from dual_ur10.sim2real.control.limits import HISTORY
-from dual_ur10.sim2real.control.servoj import ServojLaw, ServojProfile
 from tests.sim2real.control.motion_checks import HARD, NARROW, TIGHT, limit_use
 from tests.sim2real.control.test_adapter import CB3, E_SERIES, at_home, commanded_arms, played
+from ur_core.servoj import ServojLaw, ServojProfile
 
 SPEEDS_RAD_S = np.array([0.005, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0])
 LEAST_MRAD = {  # past a stop at these speeds: the optimum of a linear program, `benchmarks/adapter.py`

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dual_ur10.sim2real.links.arm_status import (
+from tests.sim2real.statuses import status_of
+from ur_core.links.arm_status import (
     OPTIONAL_VARIABLES,
     ROW,
     ROW_SIZE,
@@ -15,9 +16,8 @@ from dual_ur10.sim2real.links.arm_status import (
     ArmStatus,
     stop_reason,
 )
-from dual_ur10.sim2real.links.rtde_link import RtdeLink
-from dual_ur10.sim2real.links.rtde_stream import Sample
-from tests.sim2real.statuses import status_of
+from ur_core.links.rtde_link import RtdeLink
+from ur_core.links.rtde_stream import Sample
 from ur_emulator.profile import PROFILES
 from ur_emulator.rtde_variables import output_types, zero_values
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dual_ur10.errors import LinkError
-from dual_ur10.sim2real.links.controller_clock import APART_S, ControllerClock, DriftCompensation
+from ur_core.links.controller_clock import APART_S, ControllerClock, DriftCompensation
 
 
 def packets(tick_s, seconds, *, drift=0.0, latency_s=0.0002, jitter_s=0.001, stall=0.0, seed=0):

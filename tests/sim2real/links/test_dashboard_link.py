@@ -6,8 +6,8 @@ import threading
 import pytest
 
 from dual_ur10.errors import ClosedError, LinkError, OperationRefusedError, SettingsError
-from dual_ur10.sim2real.links.dashboard_link import FORBIDDEN, DashboardLink
 from tests.sim2real.links.fake_servers import DEADLINE_S, serving, until_closed
+from ur_core.links.dashboard_link import FORBIDDEN, DashboardLink
 
 HERE = "127.0.0.1"
 GREETING = b"Connected: Universal Robots Dashboard Server\n"

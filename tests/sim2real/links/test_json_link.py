@@ -5,7 +5,7 @@ import json
 import pytest
 
 from dual_ur10.errors import LinkError, OperationRefusedError, SettingsError
-from dual_ur10.sim2real.links.json_link import JsonLink
+from dual_ur10.sim2real.peripherals.json_link import JsonLink
 from tests.sim2real.links.fake_servers import serving
 
 HERE = "127.0.0.1"

@@ -5,8 +5,8 @@ import time
 import pytest
 
 from dual_ur10.errors import ClosedError, LinkError
-from dual_ur10.sim2real.links.link_socket import LinkSocket
 from tests.sim2real.links.fake_servers import DEADLINE_S, serving, until_closed
+from ur_core.links.link_socket import LinkSocket
 
 HERE = "127.0.0.1"
 

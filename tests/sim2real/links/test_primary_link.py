@@ -10,13 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dual_ur10.errors import LinkError, ProtocolError, SettingsError
-from dual_ur10.kinematics.robots import MODEL_OF_FAMILY
-from dual_ur10.kinematics.ur10 import DH_A_M, DH_ALPHA_RAD, DH_D_M, DHParameters, nominal_dh
-from dual_ur10.sim2real.links.primary_link import _Reader, read_primary
-from dual_ur10.sim2real.protocol.primary_messages import text_message, version_message
-from dual_ur10.sim2real.protocol.primary_packet import PrimaryPacket, kinematics_checksums
 from tests.sim2real.links.fake_servers import serving, until_closed
 from tests.soak import scaled
+from ur_core.kinematics.robots import MODEL_OF_FAMILY
+from ur_core.kinematics.ur10 import DH_A_M, DH_ALPHA_RAD, DH_D_M, DHParameters, nominal_dh
+from ur_core.links.primary_link import _Reader, read_primary
+from ur_core.protocol.primary_messages import text_message, version_message
+from ur_core.protocol.primary_packet import PrimaryPacket, kinematics_checksums
 from ur_emulator.profile import PROFILES
 from ur_emulator.rtde_variables import zero_values
 

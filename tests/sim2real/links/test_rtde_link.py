@@ -12,10 +12,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dual_ur10.errors import ClosedError, LinkError, ProtocolError, SettingsError
-from dual_ur10.sim2real.links.rtde_link import RtdeLink
-from dual_ur10.sim2real.links.rtde_stream import RtdeStream
-from dual_ur10.sim2real.processes.system import LOCAL
-from dual_ur10.sim2real.protocol.rtde import TYPES
 from tests.sim2real.links.fake_servers import (
     ANSWERS,
     DEADLINE_S,
@@ -27,6 +23,10 @@ from tests.sim2real.links.fake_servers import (
     until_closed,
 )
 from tests.soak import scaled
+from ur_core.links.rtde_link import RtdeLink
+from ur_core.links.rtde_stream import RtdeStream
+from ur_core.processes.system import LOCAL
+from ur_core.protocol.rtde import TYPES
 
 NAMES = ("robot_mode", "actual_q")
 VARIABLES = [("timestamp", TYPES["DOUBLE"]), ("robot_mode", TYPES["INT32"])]

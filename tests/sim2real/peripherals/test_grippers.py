@@ -7,11 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dual_ur10.assets.generic_140 import GENERIC_140
-from dual_ur10.assets.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 from dual_ur10.errors import ActionError, ClosedError, LinkError, OperationRefusedError, SettingsError
 from dual_ur10.sim2real.config.cell_file_tables import DigitalGripper, NoGripper, OwnGripper
-from dual_ur10.sim2real.links.rtde_link import RtdeClient
 from dual_ur10.sim2real.peripherals.digital_gripper import OUTPUTS, DigitalGripperLink
 from dual_ur10.sim2real.peripherals.gripper_link import (
     FAULTS,
@@ -23,10 +20,13 @@ from dual_ur10.sim2real.peripherals.gripper_link import (
     opening_of,
 )
 from dual_ur10.sim2real.peripherals.grippers import Grippers, GripperThread, link_to
-from dual_ur10.sim2real.protocol.rtde import Kind
 from dual_ur10.testing import VirtualCell
 from tests import waiting
 from tests.sim2real.links.fake_servers import exactly, serving, until_closed
+from ur_core.links.rtde_link import RtdeClient
+from ur_core.protocol.rtde import Kind
+from ur_core.tools.generic_140 import GENERIC_140
+from ur_core.tools.robotiq_2f85 import ROBOTIQ_2F85 as TOOL
 
 HERE = "127.0.0.1"
 WEAK = dataclasses.replace(TOOL, name="weak", force_n=(5.0, 50.0))

@@ -9,14 +9,13 @@ import pytest
 from dual_ur10.assets.prop import Prop
 from dual_ur10.assets.props import BAR, BLOCK, TARGET
 from dual_ur10.errors import CellFileError, EmulatorError, LinkError, SettingsError
-from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply, rotate
 from dual_ur10.sim2real.config.cell_file_tables import (
     AttachedTrackerEntry,
     EmulatedTrackerEntry,
     GivenTrackerEntry,
     OwnTrackerEntry,
 )
-from dual_ur10.sim2real.links.json_link import JsonLink
+from dual_ur10.sim2real.peripherals.json_link import JsonLink
 from dual_ur10.sim2real.peripherals.object_tracker import (
     STALE_S,
     CameraTracker,
@@ -29,6 +28,7 @@ from dual_ur10.sim2real.peripherals.object_tracker import (
 from dual_ur10.testing import VirtualCell
 from tests import waiting
 from tests.sim2real.links.fake_servers import serving
+from ur_core.kinematics.rotations import quat_from_rotvec, quat_multiply, rotate
 
 HERE = "127.0.0.1"
 FLANGES = Flanges(

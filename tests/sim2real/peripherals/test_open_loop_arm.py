@@ -11,12 +11,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from dual_ur10.errors import SettingsError
-from dual_ur10.sim2real.peripherals.open_loop_arm import SerialLimits, execute
-from dual_ur10.sim2real.protocol.serial_arm import MotionState, Request
+from dual_ur10.sim2real.serial_arm.firmware import SerialFirmware
+from dual_ur10.sim2real.serial_arm.open_loop_arm import SerialLimits, execute
+from dual_ur10.sim2real.serial_arm.protocol import MotionState, Request
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, ResultCode
 from tests.sim2real.serial_rig import STEP_S, Rig, serial_port, trajectory
 from tests.soak import scaled
-from ur_emulator.serial_firmware import SerialFirmware
 
 REJECTED = ("rejected", ResultCode.INVALID_GOAL)
 ABORTED = ("aborted", ResultCode.PATH_TOLERANCE_VIOLATED)
@@ -296,9 +296,9 @@ def test_bad_trajectories_are_refused_with_joint_and_remedy(rig, motion, words):
 
 @given(st.integers(0, 2**32 - 1))
 def test_bounds_of_cubics_hold_everywhere(seed):
-    from dual_ur10.sim2real.peripherals.open_loop_arm import _extremes
-    from dual_ur10.sim2real.protocol.serial_arm import Point
-    from ur_emulator.serial_firmware import _hermite
+    from dual_ur10.sim2real.serial_arm.firmware import _hermite
+    from dual_ur10.sim2real.serial_arm.open_loop_arm import _extremes
+    from dual_ur10.sim2real.serial_arm.protocol import Point
 
     rng = np.random.default_rng(seed)
     motion = bad(
@@ -331,7 +331,7 @@ def test_a_port_that_does_not_exist_is_named(tmp_path):
 def test_the_missing_extra_is_named():
     code = """import sys
 sys.modules["serial"] = None
-from dual_ur10.sim2real.peripherals.serial_line import SerialTransport
+from dual_ur10.sim2real.serial_arm.serial_line import SerialTransport
 SerialTransport("/dev/null", 57600)"""
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert 'pip install "dual-ur10[serial]"' in found.stderr

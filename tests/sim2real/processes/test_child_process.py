@@ -17,14 +17,14 @@ import time
 
 import pytest
 
-from dual_ur10.sim2real.processes.child_process import LONGER_SLICE_S, LOST, NICE, SLICE_S, Child
-from dual_ur10.sim2real.processes.system import LOCAL
+from ur_core.processes.child_process import LONGER_SLICE_S, LOST, NICE, SLICE_S, Child
+from ur_core.processes.system import LOCAL
 
 WITHIN_S = 30.0
 PROGRAM = """
 import os
 import sys
-from dual_ur10.sim2real.processes.child_process import Child
+from ur_core.processes.child_process import Child
 
 print("begins", flush=True)
 child = Child(os.mkdir, sys.argv[1])
@@ -38,7 +38,7 @@ import random
 import signal
 import sys
 import time
-from dual_ur10.sim2real.processes.child_process import Child
+from ur_core.processes.child_process import Child
 
 
 def interrupt(*heard):
@@ -141,7 +141,7 @@ def test_it_imports_modules_beside_the_program(tmp_path):
     (tmp_path / "beside.py").write_text("import pathlib\ndef work(name):\n    pathlib.Path(name).write_text('done')\n")
     code = (
         "import sys\nsys.path.insert(0, '')\nimport beside\n"
-        "from dual_ur10.sim2real.processes.child_process import Child\n"
+        "from ur_core.processes.child_process import Child\n"
         "child = Child(beside.work, 'out')\nassert child.wait(30.0)\nsys.exit(child.code)\n"
     )
     subprocess.run([sys.executable, "-P", "-c", code], cwd=tmp_path, check=True, timeout=60)
@@ -286,7 +286,7 @@ def test_an_orphan_does_nothing(tmp_path):
     """The parent has ended before its child has read the function."""
     out = tmp_path / "out"
     work = pickle.dumps(("tests.sim2real.processes.test_child_process", "write", os.getpid() + 1, (out, None)))
-    command = [sys.executable, "-m", "dual_ur10.sim2real.processes.child_process"]
+    command = [sys.executable, "-m", "ur_core.processes.child_process"]
     subprocess.run(command, input=work, check=True, timeout=60)
     assert not out.exists()
 
@@ -301,7 +301,7 @@ HASTENED = """
 import ctypes
 import os
 import pathlib
-from dual_ur10.sim2real.processes.child_process import _SCHED_ATTR, hasten
+from ur_core.processes.child_process import _SCHED_ATTR, hasten
 
 hasten()
 attributes = ctypes.create_string_buffer(_SCHED_ATTR.size)
@@ -336,7 +336,7 @@ def test_a_process_with_deadlines_gets_the_priority_it_asks_for() -> None:
 
 def hurried(calls: str) -> tuple[int, int]:
     """Return niceness and time slice of a program after calls of the system."""
-    program = HASTENED.replace("hasten()", f"from dual_ur10.sim2real.processes.system import LOCAL; {calls}")
+    program = HASTENED.replace("hasten()", f"from ur_core.processes.system import LOCAL; {calls}")
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     nice, slice_ns = run.stdout.split()[:2]
     return int(nice), int(slice_ns)

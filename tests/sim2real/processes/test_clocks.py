@@ -6,9 +6,10 @@ import textwrap
 from pathlib import Path
 
 import dual_ur10
+import ur_core
 import ur_emulator
 
-LABELS = {"sim2real/recording/header.py": {"now"}, "sim2real/processes/clock.py": {"now"}}
+LABELS = {"sim2real/recording/header.py": {"now"}, "processes/clock.py": {"now"}}
 """Modules that write the time of day into texts for people, and the functions they call."""
 
 TIME_OF_DAY = {"time", "time_ns", "now", "utcnow", "today", "gmtime", "localtime", "ctime", "asctime", "strftime"}
@@ -29,7 +30,7 @@ def time_functions(source):
 
 
 def test_the_time_of_day_is_a_label_only():
-    roots = [Path(each.__file__).parent for each in (dual_ur10, ur_emulator)]
+    roots = [Path(each.__file__).parent for each in (dual_ur10, ur_core, ur_emulator)]
     found = {
         str(path.relative_to(root)): time_functions(path.read_text()) for root in roots for path in root.rglob("*.py")
     }

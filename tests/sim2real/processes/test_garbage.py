@@ -7,7 +7,7 @@ import weakref
 
 import pytest
 
-from dual_ur10.sim2real.processes.garbage import MOST_OBJECTS, GarbageCollector
+from ur_core.processes.garbage import MOST_OBJECTS, GarbageCollector
 
 
 class Episode:

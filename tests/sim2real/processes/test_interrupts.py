@@ -9,7 +9,7 @@ import threading
 
 import pytest
 
-from dual_ur10.sim2real.processes.interrupts import interrupts_deferred
+from ur_core.processes.interrupts import interrupts_deferred
 
 
 def test_an_interrupt_comes_after_the_block():
@@ -55,7 +55,7 @@ def test_in_another_thread_it_does_nothing():
 
 def test_the_default_action_of_a_signal_is_kept():
     program = (
-        "import signal\nfrom dual_ur10.sim2real.processes.interrupts import interrupts_deferred\n"
+        "import signal\nfrom ur_core.processes.interrupts import interrupts_deferred\n"
         "signal.signal(signal.SIGINT, signal.SIG_DFL)\n"
         "with interrupts_deferred():\n    signal.raise_signal(signal.SIGINT)\n    print('whole', flush=True)\n"
         "print('behind')\n"

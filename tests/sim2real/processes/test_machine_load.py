@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from dual_ur10.sim2real.processes.machine_load import RECENT_S, SHORT_S, StallWatch, too_busy
+from ur_core.processes.machine_load import RECENT_S, SHORT_S, StallWatch, too_busy
 
 BUSY = r"^this machine is too busy to move arms in real time \(.*\): end other programs on it"
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from dual_ur10.errors import ProtocolError, SettingsError
-from dual_ur10.sim2real.protocol.rtde import TYPES, FrameReader, frame, split_names, text_payload
+from ur_core.protocol.rtde import TYPES, FrameReader, frame, split_names, text_payload
 
 
 def test_a_frame_is_size_kind_payload():

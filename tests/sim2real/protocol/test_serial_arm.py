@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dual_ur10.errors import ProtocolError
-from dual_ur10.sim2real.protocol import serial_arm
-from dual_ur10.sim2real.protocol.serial_arm import (
+from dual_ur10.sim2real.serial_arm import protocol as serial_arm
+from dual_ur10.sim2real.serial_arm.protocol import (
     ANSWER,
     FRAME_BYTES,
     MOST_PAYLOAD,

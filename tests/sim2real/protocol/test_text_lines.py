@@ -3,8 +3,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dual_ur10.errors import ProtocolError
-from dual_ur10.sim2real.protocol.text_lines import LineReader
 from tests.soak import scaled
+from ur_core.protocol.text_lines import LineReader
 
 
 def test_lines_end_with_or_without_a_carriage_return():

@@ -7,10 +7,10 @@ import time
 
 import numpy as np
 
-from dual_ur10.sim2real.links.arm_status import ROW_SIZE, ArmStatus
 from dual_ur10.sim2real.recording.rows import BeginRow, StepRow
 from dual_ur10.sim2real.recording.run import Header
 from dual_ur10.sim2real.recording.schemas import EPISODE_TOPIC, SENT_COLUMNS, STATE_COLUMNS, STEP_TOPIC
+from ur_core.links.arm_status import ROW_SIZE, ArmStatus
 
 TICKS, ACTION, OBSERVATION = 5, 12, 30
 SENT_SIZE = sum(size for _, size in SENT_COLUMNS)

@@ -13,8 +13,6 @@ import pytest
 
 import dual_ur10  # noqa: F401 - registers the ids
 from dual_ur10.errors import RecordingError, SettingsError
-from dual_ur10.kinematics import flange_pose
-from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.policies.evaluation.minari_export import to_minari
 from dual_ur10.sim2real.config.cell import CellStep
 from dual_ur10.sim2real.recording.header import describe
@@ -25,6 +23,8 @@ from dual_ur10.sim2real.recording.run_folder import LOG_FILE, new_folder
 from dual_ur10.sim2real.recording.simulation import SimulationRecord
 from tests.sim2real.recording.runs import TICKS
 from tests.soak import scaled
+from ur_core.kinematics import flange_pose
+from ur_core.kinematics.ur10 import NOMINAL_DH
 
 TASKS = ("SineTracking", "Handover")
 

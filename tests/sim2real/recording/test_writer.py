@@ -16,7 +16,6 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from dual_ur10.errors import ClosedError, RecordingError
-from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 from dual_ur10.sim2real.recording import mcap_records as mcap
 from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.recording.run import Event
@@ -25,6 +24,7 @@ from dual_ur10.sim2real.recording.schemas import EPISODE_TOPIC, STATE_COLUMNS, S
 from dual_ur10.sim2real.recording.writer import RunWriter
 from tests.sim2real.recording.runs import TICKS, begin_row, header, step_row, write
 from tests.soak import scaled
+from ur_core.kinematics.ur10 import ARMS, JOINTS
 
 ROOT = Path(__file__).parents[3]
 

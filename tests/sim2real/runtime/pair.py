@@ -3,12 +3,12 @@
 import numpy as np
 
 from dual_ur10.errors import LinkError
-from dual_ur10.sim2real.control.servoj import ServojProfile
-from dual_ur10.sim2real.processes.system import LOCAL
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_process import ArmConnection, ArmProcess
 from dual_ur10.sim2real.runtime.arm_sender import STOP_RAD_S2, STOP_RAD_S3
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
+from ur_core.processes.system import LOCAL
+from ur_core.servoj import ServojProfile
 
 ARMS = ("left", "right")
 SERVOJ = ServojProfile("cb3", 0.03, 2000.0)

@@ -12,8 +12,6 @@ import pytest
 
 from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
 from dual_ur10.errors import StartError
-from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance, PairDistances
 from dual_ur10.sim2real.control.gate import SafetyGate
@@ -35,6 +33,8 @@ from dual_ur10.sim2real.runtime.arm_memory import RING, ArmMemory
 from dual_ur10.sim2real.runtime.arm_sender import MOST_LATE_S
 from dual_ur10.sim2real.runtime.path_to_start import MEASURED_RAD, START_RAD, PathToStart
 from tests.sim2real.control.motion_checks import HARD, AlwaysClear, Measured, cartesian_speed
+from ur_core.kinematics.frames import ArmMount
+from ur_core.kinematics.ur10 import JOINT_RANGE_RAD
 
 HOME = HOME_Q_RAD.reshape(12)
 RATES = Rates(HARD.robots)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from dual_ur10.errors import LinkError, SettingsError
-from dual_ur10.sim2real.links.json_link import JsonLink
+from dual_ur10.sim2real.peripherals.json_link import JsonLink
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_process import _KEPT, ArmConnection, ArmProcess, _round_trip_s, _ur_rtde
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory

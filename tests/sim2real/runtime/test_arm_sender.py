@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from dual_ur10.assets.settings import HOME_Q_RAD
-from dual_ur10.sim2real.control.servoj import ServojProfile
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_sender import ArmSender
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
+from ur_core.servoj import ServojProfile
 
 PROFILES = {"cb3": ServojProfile("cb3", 0.03, 2000.0), "e-series": ServojProfile("e-series", 0.03, 2000.0)}
 SPEED_RAD_S = 0.5

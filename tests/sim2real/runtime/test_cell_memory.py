@@ -10,10 +10,10 @@ from unittest import mock
 import pytest
 
 from dual_ur10.errors import LinkError, SettingsError
-from dual_ur10.kernel import Counters
 from dual_ur10.sim2real.control.time_scaling import TimeScaling
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
+from ur_core.kernel import Counters
 
 
 @pytest.fixture

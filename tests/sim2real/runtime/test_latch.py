@@ -16,9 +16,9 @@ import pytest
 from dual_ur10.errors import CellBusyError, CellFaulted, SettingsError
 from dual_ur10.sim2real.config.cell_file import CellFile, load_cell_file
 from dual_ur10.sim2real.config.cell_file_tables import EmulatorEntry
-from dual_ur10.sim2real.processes.system import LOCAL
 from dual_ur10.sim2real.runtime import latch
 from dual_ur10.sim2real.runtime.latch import CellLock, Claim, Latch
+from ur_core.processes.system import LOCAL
 
 TEXT = 'kind = "emulated"\n[left]\nhost = "{}"\n[right]\nhost = "{}"\n'
 

@@ -22,12 +22,12 @@ from dual_ur10.errors import (
 )
 from dual_ur10.policies.evaluation import rollout as evaluation
 from dual_ur10.sim2real.config.cell_file import CellFile
-from dual_ur10.sim2real.processes.garbage import GarbageCollector
 from dual_ur10.sim2real.runtime.approach import Approach, Rates
 from dual_ur10.testing import VirtualCell
 from tests.cli.command import run
 from tests.parity import handed_over
 from tests.sim2real.control.motion_checks import HARD
+from ur_core.processes.garbage import GarbageCollector
 
 ARMS = ("left", "right")
 HANDOVER, SINE = "DualUR10/Handover-v0", "DualUR10/SineTracking-v0"

@@ -9,12 +9,7 @@ import numpy as np
 import pytest
 
 from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
-from dual_ur10.kinematics.forward import flange_pose, flange_pose_quat
-from dual_ur10.kinematics.frames import ArmMount, Frames
-from dual_ur10.kinematics.inverse import try_nearest
-from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply, quat_to_matrix, rotate
 from dual_ur10.sim2real.control.time_scaling import TimeScaling
-from dual_ur10.sim2real.processes.machine_load import too_busy
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_sender import STALE_S, WAITING_S
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
@@ -27,6 +22,11 @@ from dual_ur10.sim2real.runtime.safety_monitor import (
     SafetyMonitor,
 )
 from tests.sim2real.statuses import status_of
+from ur_core.kinematics.forward import flange_pose, flange_pose_quat
+from ur_core.kinematics.frames import ArmMount, Frames
+from ur_core.kinematics.inverse import try_nearest
+from ur_core.kinematics.rotations import quat_from_rotvec, quat_multiply, quat_to_matrix, rotate
+from ur_core.processes.machine_load import too_busy
 
 TICK_S = 0.008
 MOUNTS = SceneSettings().mounts

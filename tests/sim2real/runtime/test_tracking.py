@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from dual_ur10.kinematics.ur10 import JOINTS
-from dual_ur10.sim2real.control.servoj import ServojLaw, ServojProfile
 from dual_ur10.sim2real.runtime.tracking import DEVIATION_RAD, Deviation, Following, PayloadWarning, Tracking
 from tests.sim2real.statuses import status_of
+from ur_core.kinematics.ur10 import JOINTS
+from ur_core.servoj import ServojLaw, ServojProfile
 
 HOME = np.array([0.1, -1.2, 1.5, -1.8, -1.5, 0.3])
 

@@ -4,16 +4,16 @@ import numpy as np
 
 from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
 from dual_ur10.errors import CellFaulted
-from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.config.cell import CellState, CellStep
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.command_queue import CommandQueue
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import MotionLimits
-from dual_ur10.sim2real.control.servoj import ServojLaw, ServojProfile
 from dual_ur10.sim2real.trajectory.executor import TrajectoryExecutor
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
 from dual_ur10.sim2real.trajectory.path_check import TargetLaw
+from ur_core.kinematics.ur10 import NOMINAL_DH
+from ur_core.servoj import ServojLaw, ServojProfile
 
 PROFILE = ServojProfile()
 LIMITS = MotionLimits()

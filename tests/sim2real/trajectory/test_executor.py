@@ -8,12 +8,12 @@ import pytest
 
 from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.errors import ClosedError, SettingsError, StartError, TrajectoryError
-from dual_ur10.sim2real.processes.machine_load import too_busy
 from dual_ur10.sim2real.trajectory.goal import START_RAD, GoalState, TrajectoryGoal
 from dual_ur10.sim2real.trajectory.interpolation import Interpolation
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, ResultCode
 from tests.sim2real.trajectory.following import DIRECTIONS, TICKS, check_sent, made, part, wave
 from tests.soak import scaled
+from ur_core.processes.machine_load import too_busy
 
 LATENCIES = pytest.mark.parametrize("latency_ticks", [0, 5])
 

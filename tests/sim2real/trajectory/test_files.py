@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dual_ur10.errors import DualUR10Error, TrajectoryError, UnknownNameError
-from dual_ur10.kinematics.ur10 import JOINTS
 from dual_ur10.sim2real.trajectory import files
 from dual_ur10.sim2real.trajectory.files import parse_trajectory, read_trajectory, write_trajectory
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, ResultCode
+from ur_core.kinematics.ur10 import JOINTS
 
 MESSAGE = """\
 header:

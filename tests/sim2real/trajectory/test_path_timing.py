@@ -10,13 +10,9 @@ import pytest
 
 from dual_ur10.assets.settings import HOME_Q_RAD, home_q_rad
 from dual_ur10.errors import TrajectoryError
-from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.robots import robot_model
-from dual_ur10.kinematics.ur10 import nominal_dh
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.control.planner import plan_path
-from dual_ur10.sim2real.control.servoj import ServojProfile
 from dual_ur10.sim2real.trajectory import path_timing
 from dual_ur10.sim2real.trajectory.goal import GoalState
 from dual_ur10.sim2real.trajectory.interpolation import Interpolation
@@ -26,6 +22,10 @@ from tests.sim2real.control.motion_checks import HARD, NARROW, TIGHT, TOOL, Alwa
 from tests.sim2real.control.reference_cell import dh_product
 from tests.sim2real.trajectory.following import CLEARANCE, check_sent, made
 from tests.soak import scaled
+from ur_core.kinematics.frames import ArmMount
+from ur_core.kinematics.robots import robot_model
+from ur_core.kinematics.ur10 import nominal_dh
+from ur_core.servoj import ServojProfile
 
 HOME = np.array(HOME_Q_RAD).reshape(12)
 SLOW = MotionLimits(speed_rad_s=0.2, tcp_speed_m_s=0.1, acceleration_rad_s2=0.5, jerk_rad_s3=5.0)

@@ -7,12 +7,12 @@ import pytest
 
 from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.errors import PlanningError, TrajectoryError
-from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 from dual_ur10.sim2real.control.planner import plan_path
 from dual_ur10.sim2real.trajectory.files import parse_trajectory, read_trajectory, write_trajectory
 from dual_ur10.sim2real.trajectory.goal import GoalState
 from dual_ur10.sim2real.trajectory.planning import configuration_of, plan_to
 from tests.sim2real.trajectory.following import CLEARANCE, LIMITS, check_sent, made, wave
+from ur_core.kinematics.ur10 import ARMS, JOINTS
 
 
 def test_the_arms_get_around_what_is_in_the_way():

@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 
 from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.errors import TrajectoryError, UnknownNameError
-from dual_ur10.kinematics.forward import flange_pose
-from dual_ur10.kinematics.inverse import nearest
-from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.trajectory.interpolation import Interpolation
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
 from dual_ur10.sim2real.trajectory.reduction import reduce_points
 from tests.sim2real.trajectory.following import wave
 from tests.soak import SOAK, scaled
+from ur_core.kinematics.forward import flange_pose
+from ur_core.kinematics.inverse import nearest
+from ur_core.kinematics.ur10 import NOMINAL_DH
 
 KINDS = pytest.mark.parametrize("kind", ["cubic", "linear"])
 

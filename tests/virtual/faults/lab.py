@@ -11,9 +11,9 @@ import pytest
 import dual_ur10  # noqa: F401  # registers the environments
 from dual_ur10.errors import CellFaulted, StartError
 from dual_ur10.sim2real.config.cell_file import CellFile
-from dual_ur10.sim2real.links.arm_status import ROW
 from dual_ur10.testing import VirtualCell
 from tests.virtual.faults.wire import Wire, demand, ramp_ticks
+from ur_core.links.arm_status import ROW
 
 ARMS = ("left", "right")
 PROGRAM = re.compile(r"program .* ends:|program is refused|program stopped:|not started")

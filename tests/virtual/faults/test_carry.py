@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from dual_ur10 import policies
-from dual_ur10.kinematics.frames import Frames
-from dual_ur10.kinematics.rotations import quat_conjugate, quat_multiply, quat_to_rotvec
 from dual_ur10.sim2real.runtime.safety_monitor import _relative_poses
 from tests import soak
 from tests.virtual.faults.lab import ARMS, VirtualLab
+from ur_core.kinematics.frames import Frames
+from ur_core.kinematics.rotations import quat_conjugate, quat_multiply, quat_to_rotvec
 
 ROD = {"name": "rod", "kind": "capsule", "from_m": [-0.6, 0.0, 0.25], "to_m": [0.6, 0.0, 0.25], "radius_m": 0.01}
 

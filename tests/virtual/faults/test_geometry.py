@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.control.cartesian_step import HALT_CONDITION, SLOW_CONDITION, condition
 from tests.virtual.faults.lab import ARMS
+from ur_core.kinematics.ur10 import NOMINAL_DH
 
 WALL = {"name": "wall", "kind": "plane", "point_m": [0.35, 0.0, 0.0], "normal": [-1.0, 0.0, 0.0]}
 

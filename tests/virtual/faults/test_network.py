@@ -5,11 +5,11 @@ import contextlib
 import pytest
 
 from dual_ur10.errors import CellFaulted, CellFileError, LinkError, StartError
-from dual_ur10.sim2real.links.rtde_link import RtdeClient
-from dual_ur10.sim2real.protocol.rtde import Kind
 from dual_ur10.sim2real.runtime import runner
 from tests import soak
 from tests.virtual.faults.lab import ARMS
+from ur_core.links.rtde_link import RtdeClient
+from ur_core.protocol.rtde import Kind
 
 PORTS = {"dashboard": 29999, "primary": 30001, "realtime": 30003, "rtde": 30004}
 SILENT_TICKS = 17  # 0.1 s until a silent peer counts as lost, and packets in transit

@@ -6,7 +6,7 @@ from dual_ur10.envs.rendering.live.attendance import UNATTENDED_S, Attendance
 from dual_ur10.envs.rendering.live.commander import Commander
 from dual_ur10.envs.rendering.live.memory import LiveMemory
 from dual_ur10.errors import CellFaulted
-from dual_ur10.ids import load_object
+from ur_core.objects import load_object
 
 MOST_S = UNATTENDED_S + 0.3
 

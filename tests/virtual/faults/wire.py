@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from dual_ur10.kinematics.ur10 import HARD_SPEED_RAD_S
+from ur_core.kinematics.ur10 import HARD_SPEED_RAD_S
 
 SERVOJ = 11  # ur_rtde's number of the command
 STOP_RAD_S2, STOP_RAD_S3 = 4.0, 200.0  # of a stop, by docs/explanation/safety.md

@@ -6,7 +6,7 @@ from typing import Final
 
 from dual_ur10.envs.rendering.live.arms_view import ArmsView
 from dual_ur10.envs.rendering.live.memory import LiveMemory
-from dual_ur10.sim2real.processes.clock import Clock
+from ur_core.processes.clock import Clock
 
 UNATTENDED_S: Final = 3.0
 """Time without an open page after which moving arms have a latched stop. A page is reloaded sooner."""

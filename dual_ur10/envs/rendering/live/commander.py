@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.envs.rendering.live.memory import Handles, LiveMemory
-from dual_ur10.sim2real.processes.clock import Clock
-from dual_ur10.types import Array
+from ur_core.processes.clock import Clock
+from ur_core.types import Array
 
 GRIP_S: Final = 0.4
 """Time for which a press of a gripper's button counts, and holds the clutch of an arm that is not dragged."""

@@ -10,8 +10,8 @@ import numpy as np
 from dual_ur10.envs.rendering.live.about import About
 from dual_ur10.envs.rendering.live.commander import Commander
 from dual_ur10.envs.rendering.live.scene import MOVED_M, Poser
-from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.types import Array
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.types import Array
 
 
 class DragHandles:

@@ -12,8 +12,8 @@ from dual_ur10.envs.rendering.images import Canvas
 from dual_ur10.envs.rendering.live.about import About
 from dual_ur10.envs.rendering.live.scene import MOVED_M, Poser, parts_of, swollen
 from dual_ur10.errors import RenderError
-from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.types import Array
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.types import Array
 
 APART_M: Final = 0.02
 """Distance of a tool from its target from which on the target is shown."""

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from dual_ur10.envs.rendering.live.memory import Row
-from dual_ur10.types import Array
+from ur_core.types import Array
 
 SHOWN_S: Final = 20.0
 """Time that a plot shows."""

@@ -16,8 +16,8 @@ from dual_ur10.envs.rendering.live.memory import Handles, LiveMemory
 from dual_ur10.envs.rendering.live.page import main
 from dual_ur10.envs.rendering.live.scene import arm_rows
 from dual_ur10.errors import MissingExtraError, RenderError, SettingsError
-from dual_ur10.sim2real.processes.system import LOCAL, Process, System
-from dual_ur10.types import Array
+from ur_core.processes.system import LOCAL, Process, System
+from ur_core.types import Array
 
 START_S: Final = 30.0
 HANGS_S: Final = 5.0

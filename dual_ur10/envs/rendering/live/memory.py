@@ -14,8 +14,8 @@ import numpy as np
 
 from dual_ur10.envs.rendering.live.buttons import BUTTONS
 from dual_ur10.errors import LinkError
-from dual_ur10.sim2real.processes.shared_memory import Layout, SharedBlock
-from dual_ur10.types import Array, Mask
+from ur_core.processes.shared_memory import Layout, SharedBlock
+from ur_core.types import Array, Mask
 
 COMMANDERS: Final = ("policy", "operator", "nobody")
 """Who leads an arm, by the number in a row."""

@@ -24,8 +24,8 @@ from dual_ur10.envs.rendering.live.plots import Plots
 from dual_ur10.envs.rendering.live.scene import Poser
 from dual_ur10.envs.rendering.live.viewpoints import CAMERA, FOV_RAD, NARROW, look_from
 from dual_ur10.errors import DualUR10Error, LinkError
-from dual_ur10.ids import load_object
-from dual_ur10.sim2real.processes.system import LOCAL, System
+from ur_core.objects import load_object
+from ur_core.processes.system import LOCAL, System
 
 STOPPED: Final = "the button to stop both arms was pressed in the live page"
 """Reason of the latched stop of a button."""

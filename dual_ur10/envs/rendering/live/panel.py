@@ -14,7 +14,7 @@ from dual_ur10.envs.rendering.live.commander import Commander
 from dual_ur10.envs.rendering.live.drag_handles import DragHandles
 from dual_ur10.envs.rendering.live.drawing import APART_M, TARGET_RGB
 from dual_ur10.envs.rendering.live.viewpoints import START, look_from
-from dual_ur10.kinematics.ur10 import ARMS
+from ur_core.kinematics.ur10 import ARMS
 
 _LONGEST: Final = 24  # text of a policy
 _OTHERS: Final = "Another page commands. When it is closed, or leaves the controls, press: Take the controls."

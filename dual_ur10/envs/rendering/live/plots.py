@@ -8,8 +8,8 @@ import numpy as np
 
 from dual_ur10.envs.rendering.live.about import About
 from dual_ur10.envs.rendering.live.history import SHOWN_S, History
-from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.types import Array
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.types import Array
 
 _SERIES_RGB: Final = ("#2878ff", "#ff7814")
 

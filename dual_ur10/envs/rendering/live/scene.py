@@ -7,9 +7,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.kinematics.rotations import quat_to_matrix
-from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.types import Array
+from ur_core.kinematics.rotations import quat_to_matrix
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.types import Array
 
 MOVED_M: Final = 1e-4
 """Change of a pose below which it is not sent."""

@@ -10,7 +10,7 @@ import numpy as np
 from dual_ur10.envs.rendering.live.live_page import LivePage
 from dual_ur10.envs.rendering.live.memory import COMMANDERS
 from dual_ur10.envs.rendering.marks import describe
-from dual_ur10.kinematics.ur10 import ARMS
+from ur_core.kinematics.ur10 import ARMS
 
 
 class Shown(gym.Wrapper[Any, Any, Any, Any]):

@@ -13,8 +13,8 @@ from dual_ur10.assets.props import BAR, BAR_WIDTH_M, BLOCK, BLOCK_SIZE_M
 from dual_ur10.envs.tasks.geometry import lying
 from dual_ur10.envs.tasks.task import check_numbers
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.ids import load_object
-from dual_ur10.types import Array
+from ur_core.objects import load_object
+from ur_core.types import Array
 
 OBJECTS: Final = {BLOCK.name: BLOCK, BAR.name: BAR}
 """Objects by name."""

@@ -8,7 +8,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from dual_ur10.assets.gains import COMPLIANT
 from dual_ur10.assets.prop import Prop
 from dual_ur10.assets.props import BLOCK
 from dual_ur10.assets.settings import Equipment
@@ -27,11 +26,12 @@ from dual_ur10.envs.tasks.observation_layout import (
     wrench_values,
 )
 from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Task, Timing
-from dual_ur10.kinematics.frames import Frames
-from dual_ur10.kinematics.poses import Poses, relative_to
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.control.limits import MotionLimits
-from dual_ur10.types import Array, Rows
+from ur_core.kinematics.frames import Frames
+from ur_core.kinematics.poses import Poses, relative_to
+from ur_core.mjcf.gains import COMPLIANT
+from ur_core.types import Array, Rows
 
 
 def _fields(props: Sequence[Prop]) -> list[Field]:

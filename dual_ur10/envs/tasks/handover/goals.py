@@ -29,7 +29,6 @@ import numpy as np
 
 from dual_ur10.assets.props import BLOCK_SIZE_M
 from dual_ur10.assets.settings import DEFAULT_TOOLS, home_q_rad
-from dual_ur10.assets.tool import Tool, levers_m
 from dual_ur10.envs.tasks.cases import Cases
 from dual_ur10.envs.tasks.geometry import (
     APPROACH_M,
@@ -47,11 +46,12 @@ from dual_ur10.envs.tasks.geometry import (
     numbers,
 )
 from dual_ur10.envs.tasks.handover.settings import GRIPS, MEETING_M, laid_quat, presented_quat
-from dual_ur10.kinematics import flange_pose_quat
-from dual_ur10.kinematics.frames import ArmMount, Frames
-from dual_ur10.kinematics.poses import Poses, compose
-from dual_ur10.kinematics.rotations import rotate
-from dual_ur10.types import Array, Rows
+from ur_core.kinematics import flange_pose_quat
+from ur_core.kinematics.frames import ArmMount, Frames
+from ur_core.kinematics.poses import Poses, compose
+from ur_core.kinematics.rotations import rotate
+from ur_core.tools.tool import Tool, levers_m
+from ur_core.types import Array, Rows
 
 _T = TypeVar("_T")
 

@@ -12,16 +12,16 @@ import numpy as np
 
 from dual_ur10.assets.props import BLOCK_GRIP_M, BLOCK_GRIP_QUAT, BLOCK_SIZE_M
 from dual_ur10.assets.settings import SceneSettings, home_q_rad
-from dual_ur10.assets.tool import levers_m
 from dual_ur10.envs.tasks.geometry import APPROACH_M, flanges_of, lying
 from dual_ur10.envs.tasks.task import check_numbers
 from dual_ur10.errors import UnknownNameError, WorkspaceError
-from dual_ur10.kinematics import try_nearest
-from dual_ur10.kinematics.frames import Frames
-from dual_ur10.kinematics.poses import Poses, compose, yaw_quat
-from dual_ur10.kinematics.rotations import quat_multiply, quat_to_matrix
-from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.types import Array
+from ur_core.kinematics import try_nearest
+from ur_core.kinematics.frames import Frames
+from ur_core.kinematics.poses import Poses, compose, yaw_quat
+from ur_core.kinematics.rotations import quat_multiply, quat_to_matrix
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.tools.tool import levers_m
+from ur_core.types import Array
 
 Giver = Literal["left", "right", "random"]
 
@@ -79,7 +79,7 @@ class HandoverSettings:
 
     @property
     def givers(self) -> tuple[int, ...]:
-        """Arms that may give, as indices of `dual_ur10.kinematics.ur10.ARMS`."""
+        """Arms that may give, as indices of `ur_core.kinematics.ur10.ARMS`."""
         return (0, 1) if self.giver == "random" else (ARMS.index(self.giver),)
 
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from dual_ur10.assets.props import BLOCK, BLOCK_SIZE_M, TARGET
 from dual_ur10.assets.settings import Equipment
-from dual_ur10.assets.tool import strokes_m
 from dual_ur10.envs.tasks.geometry import PICKING, Grasped, Number, length, numbers, ratio, required
 from dual_ur10.envs.tasks.goal_fields import GOAL_FIELDS, goal_values, gripper_values
 from dual_ur10.envs.tasks.handover.goals import LIFTED_M, MEETING_RANGE_M, HandoverGoals, Situation
@@ -30,11 +29,12 @@ from dual_ur10.envs.tasks.observation_layout import (
 )
 from dual_ur10.envs.tasks.staged import Progress, StagedTask, stage
 from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Timing, duration_ratio
-from dual_ur10.kinematics.poses import Poses
-from dual_ur10.kinematics.rotations import rotate
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.control.limits import MotionLimits, reach_from_joint_m
-from dual_ur10.types import Array, Rows
+from ur_core.kinematics.poses import Poses
+from ur_core.kinematics.rotations import rotate
+from ur_core.tools.tool import strokes_m
+from ur_core.types import Array, Rows
 
 _TARGET, _BEFORE, _SHOULDERS = 1, 2, slice(3, 5)  # pairs of `HandoverGoals.to_block`, behind that of the transfer
 

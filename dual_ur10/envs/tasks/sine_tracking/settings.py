@@ -12,13 +12,13 @@ import numpy as np
 from dual_ur10.assets.settings import SceneSettings, home_q_rad
 from dual_ur10.envs.tasks.task import check_numbers
 from dual_ur10.errors import SettingsError, UnknownNameError, WorkspaceError
-from dual_ur10.kinematics import try_nearest
-from dual_ur10.kinematics.frames import to_base
-from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_to_matrix
-from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.limits import MotionLimits
-from dual_ur10.types import Array
+from ur_core.kinematics import try_nearest
+from ur_core.kinematics.frames import to_base
+from ur_core.kinematics.rotations import quat_from_rotvec, quat_to_matrix
+from ur_core.kinematics.ur10 import ARMS, JOINTS
+from ur_core.types import Array
 
 Vector = tuple[float, float, float]
 Axis = Literal["x", "y", "z"]

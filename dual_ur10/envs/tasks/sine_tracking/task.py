@@ -26,13 +26,13 @@ from dual_ur10.envs.tasks.sine_tracking.settings import (
     sample_path,
 )
 from dual_ur10.envs.tasks.task import Outcome, Task, Timing, gaussian
-from dual_ur10.kinematics import nearest
-from dual_ur10.kinematics.frames import Frames
-from dual_ur10.kinematics.poses import Poses
-from dual_ur10.kinematics.rotations import quat_to_matrix
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.control.limits import MotionLimits
-from dual_ur10.types import Array, Rows
+from ur_core.kinematics import nearest
+from ur_core.kinematics.frames import Frames
+from ur_core.kinematics.poses import Poses
+from ur_core.kinematics.rotations import quat_to_matrix
+from ur_core.types import Array, Rows
 
 _NEAR_M, _FAR_M = 0.012, 0.03  # errors at which the terms "position" and "approach" have fallen to their halves
 _APART_M = 0.005  # error of the vector between the flanges at which the factor of the term "synchrony" is 0.1

@@ -14,12 +14,12 @@ import numpy as np
 
 from dual_ur10.assets.props import BAR_WIDTH_M
 from dual_ur10.assets.settings import DEFAULT_TOOLS
-from dual_ur10.assets.tool import Tool
 from dual_ur10.envs.tasks.geometry import KEEP, LEARNERS_ROOM_M, Goal, GoalSteps, Grasped, Grasps, ToolSteps
 from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings
-from dual_ur10.kinematics.frames import ArmMount, Frames
-from dual_ur10.kinematics.poses import Poses
-from dual_ur10.types import Array, Mask
+from ur_core.kinematics.frames import ArmMount, Frames
+from ur_core.kinematics.poses import Poses
+from ur_core.tools.tool import Tool
+from ur_core.types import Array, Mask
 
 POSES: Final = 3
 BAR_POSE, REFERENCE, AHEAD = range(POSES)

@@ -8,9 +8,9 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.errors import SettingsError
-from dual_ur10.kinematics.poses import Poses
-from dual_ur10.kinematics.rotations import quat_multiply
-from dual_ur10.types import Array
+from ur_core.kinematics.poses import Poses
+from ur_core.kinematics.rotations import quat_multiply
+from ur_core.types import Array
 
 _X, _Y, _Z, _ROLL, _PITCH, _YAW = range(6)
 

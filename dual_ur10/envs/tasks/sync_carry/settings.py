@@ -11,19 +11,19 @@ import numpy as np
 
 from dual_ur10.assets.props import BAR_WIDTH_M, GRIP_DISTANCE_M, GRIP_QUAT
 from dual_ur10.assets.settings import SceneSettings, home_q_rad
-from dual_ur10.assets.tool import Tool, levers_m
 from dual_ur10.envs.tasks.geometry import flanges_of, lying
 from dual_ur10.envs.tasks.sync_carry.path import MOVES, CarryPath
 from dual_ur10.envs.tasks.task import check_numbers
 from dual_ur10.errors import SettingsError, UnknownNameError, WorkspaceError
-from dual_ur10.kinematics import try_nearest
-from dual_ur10.kinematics.forward import elbow_flange_and_tcp
-from dual_ur10.kinematics.frames import Frames
-from dual_ur10.kinematics.poses import Poses, compose, relative_to
-from dual_ur10.kinematics.rotations import quat_to_matrix
-from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.control.limits import MotionLimits
-from dual_ur10.types import Array
+from ur_core.kinematics import try_nearest
+from ur_core.kinematics.forward import elbow_flange_and_tcp
+from ur_core.kinematics.frames import Frames
+from ur_core.kinematics.poses import Poses, compose, relative_to
+from ur_core.kinematics.rotations import quat_to_matrix
+from ur_core.kinematics.ur10 import ARMS
+from ur_core.tools.tool import Tool, levers_m
+from ur_core.types import Array
 
 Grasp = Literal["friction", "rigid"]
 Payload = Literal["known", "unknown"]

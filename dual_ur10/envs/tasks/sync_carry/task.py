@@ -8,10 +8,8 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from dual_ur10.assets.gains import COMPLIANT
 from dual_ur10.assets.props import BAR, BAR_MASS_KG, BAR_WELDS
 from dual_ur10.assets.settings import Equipment, home_q_rad
-from dual_ur10.assets.tool import levers_m, strokes_m
 from dual_ur10.envs.tasks.geometry import (
     APPROACH_M,
     PICKING,
@@ -39,13 +37,15 @@ from dual_ur10.envs.tasks.sync_carry.goals import AHEAD, BAR_POSE, POSES, REFERE
 from dual_ur10.envs.tasks.sync_carry.path import CarryPath
 from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings, bar_pose, ideal_relative, path_rate
 from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Task, Timing, gaussian
-from dual_ur10.kinematics import nearest
-from dual_ur10.kinematics.frames import Frames
-from dual_ur10.kinematics.poses import Poses, compose
-from dual_ur10.kinematics.rotations import quat_to_matrix
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.control.limits import MotionLimits
-from dual_ur10.types import Array, Mask, Rows
+from ur_core.kinematics import nearest
+from ur_core.kinematics.frames import Frames
+from ur_core.kinematics.poses import Poses, compose
+from ur_core.kinematics.rotations import quat_to_matrix
+from ur_core.mjcf.gains import COMPLIANT
+from ur_core.tools.tool import levers_m, strokes_m
+from ur_core.types import Array, Mask, Rows
 
 _GRASP_S = {True: 1.5, False: 5.0}  # time before the path begins: rigid, friction
 _SETTLE_S = 1.0  # time after it

@@ -85,16 +85,7 @@ class RecordHook:
     def step(
         self, action: object, command: Command, step: Any, period: CellStep, ended_by: str, commander: Mask
     ) -> None:
-        """Record a step.
-
-        Args:
-            action: The action as it was given.
-            command: The command that the gate released.
-            step: A `dual_ur10.envs.core.core.Step`.
-            period: The cell's step, with the true state at its end.
-            ended_by: Reason of an early end of the episode; "": there is none.
-            commander: (2,) True for an arm that a person commanded.
-        """
+        """Record a step; see `dual_ur10.envs.core.cells.StepHook`."""
         state = period.state
         terminated, truncated = bool(step.terminated[0]), bool(step.truncated[0])
         row = StepRow(

@@ -20,8 +20,9 @@ from ur_core.processes.system import LOCAL, Process, System
 from ur_core.types import Array
 
 START_S: Final = 30.0
-HANGS_S: Final = 5.0
-"""Time without a sign of life of the process of a page that commands controllers. A first picture takes 1 s."""
+HANGS_S: Final = 10.0
+"""Time without a sign of life after which a page that commands controllers is lost. A first picture takes 1 s, and up
+to 5 s on a busy machine."""
 
 _END_S: Final = 3.0
 _POLL_S: Final = 0.01

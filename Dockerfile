@@ -16,6 +16,6 @@ ENV PATH=/home/arms/venv/bin:$PATH OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 # The index of CPU builds that PyTorch's installation page names; constraints.txt pins one of them.
 ARG PIP_EXTRA_INDEX_URL
 COPY --chown=arms . .
-RUN pip install --no-cache-dir -c constraints.txt -e packages/ur-core -e ".[train,live,virtual,plot]"
+RUN pip install --no-cache-dir -c constraints.txt -e packages/ur-core -e packages/ur-emulator -e ".[train,live,virtual,plot]"
 
 CMD ["python", "-m", "dual_ur10", "list"]

@@ -9,6 +9,9 @@ RLLIB := .venv-rllib
 CLIENTS := .venv-clients
 CHROMIUM ?= /usr/bin/chromium
 KERNEL := packages/ur-core/ur_core/kernel/_kernel.so
+# The distributions of this repository, which need each other.
+EDITABLE := -e packages/ur-core -e packages/ur-emulator -e
+PACKAGED := packages/ur-core/pyproject.toml packages/ur-emulator/pyproject.toml
 # What is imported is compiled then: compiling all that torch and others bring takes longer than all the rest.
 PIP_FLAGS := --quiet --disable-pip-version-check --no-compile
 # The tests run the examples that come with ur_rtde's source.
@@ -46,37 +49,37 @@ $(VENV)/bin/python: | check-python
 
 # What the demo needs: the package, its plots, the emulator, and ur_rtde as its client. No torch. Where ur_rtde cannot be
 # installed, the demo says so and shows the rest.
-$(VENV)/.demo: pyproject.toml packages/ur-core/pyproject.toml constraints.txt $(VENV)/bin/python
+$(VENV)/.demo: pyproject.toml $(PACKAGED) constraints.txt $(VENV)/bin/python
 	@echo "Installing dual-ur10 with its plots and ur_rtde into $(VENV) ..."
-	@$(VENV)/bin/python -m pip install $(PIP_FLAGS) -c constraints.txt -e packages/ur-core -e '.[plot,emulator,real]' || { \
+	@$(VENV)/bin/python -m pip install $(PIP_FLAGS) -c constraints.txt $(EDITABLE) '.[plot,emulator,real]' || { \
 	  echo "ur_rtde could not be installed: trying without it."; \
-	  $(VENV)/bin/python -m pip install $(PIP_FLAGS) -c constraints.txt -e packages/ur-core -e '.[plot,emulator,records]'; }
+	  $(VENV)/bin/python -m pip install $(PIP_FLAGS) -c constraints.txt $(EDITABLE) '.[plot,emulator,records]'; }
 	@touch $@
 
 # What the tests need, too.
-$(VENV)/.dev: pyproject.toml packages/ur-core/pyproject.toml constraints.txt $(VENV)/bin/python | check-python-of-tests
+$(VENV)/.dev: pyproject.toml $(PACKAGED) constraints.txt $(VENV)/bin/python | check-python-of-tests
 	@echo "Installing dual-ur10 with all that its tests need into $(VENV) ..."
-	@$(VENV)/bin/python -m pip install $(PIP_FLAGS) -c constraints.txt -e packages/ur-core -e '.[dev]'
+	@$(VENV)/bin/python -m pip install $(PIP_FLAGS) -c constraints.txt $(EDITABLE) '.[dev]'
 	@$(FETCH_EXAMPLES) $(VENV)/sdist || echo "The examples of ur_rtde could not be fetched: their test is skipped."
 	@touch $@ $(VENV)/.demo
 
 # What fuzzing needs beside the package. No torch.
-$(VENV)/.fuzz: pyproject.toml packages/ur-core/pyproject.toml constraints.txt $(VENV)/bin/python
+$(VENV)/.fuzz: pyproject.toml $(PACKAGED) constraints.txt $(VENV)/bin/python
 	@echo "Installing dual-ur10 with a fuzzer into $(VENV) ..."
-	@$(VENV)/bin/python -m pip install $(PIP_FLAGS) -c constraints.txt -e packages/ur-core -e '.[fuzz]'
+	@$(VENV)/bin/python -m pip install $(PIP_FLAGS) -c constraints.txt $(EDITABLE) '.[fuzz]'
 	@touch $@
 
-$(OLDEST)/.dev: pyproject.toml packages/ur-core/pyproject.toml constraints-oldest.txt | check-python
+$(OLDEST)/.dev: pyproject.toml $(PACKAGED) constraints-oldest.txt | check-python
 	@echo "Installing the oldest supported versions into $(OLDEST) ..."
 	@test -x $(OLDEST)/bin/python || $(PYTHON) -m venv $(OLDEST)
-	@$(OLDEST)/bin/python -m pip install $(PIP_FLAGS) -c constraints-oldest.txt -e packages/ur-core -e '.[plot,test]'
+	@$(OLDEST)/bin/python -m pip install $(PIP_FLAGS) -c constraints-oldest.txt $(EDITABLE) '.[plot,test]'
 	@touch $@
 
 # RLlib pins a Gymnasium of its own choice, and asks for some hundred MB that nothing else needs.
-$(RLLIB)/.dev: pyproject.toml packages/ur-core/pyproject.toml constraints-rllib.txt | check-python
+$(RLLIB)/.dev: pyproject.toml $(PACKAGED) constraints-rllib.txt | check-python
 	@echo "Installing dual-ur10 with Ray RLlib into $(RLLIB) ..."
 	@test -x $(RLLIB)/bin/python || $(PYTHON) -m venv $(RLLIB)
-	@$(RLLIB)/bin/python -m pip install $(PIP_FLAGS) -c constraints-rllib.txt -e packages/ur-core -e '.[rllib]' hypothesis psutil pytest
+	@$(RLLIB)/bin/python -m pip install $(PIP_FLAGS) -c constraints-rllib.txt $(EDITABLE) '.[rllib]' hypothesis psutil pytest
 	@touch $@
 
 # Clients of UR controllers by others. One of them needs a NumPy that nothing else takes.
@@ -95,7 +98,7 @@ $(KERNEL): packages/ur-core/hatch_build.py $(wildcard packages/ur-core/ur_core/k
 install: $(VENV)/.dev $(KERNEL)  ## set up .venv for the tests
 
 demo: $(VENV)/.demo $(KERNEL)  ## install, run scripted and learned policies, also on emulated arms; write out/report.html and videos
-	@$(VENV)/bin/python -m dual_ur10 demo --out out
+	@$(VENV)/bin/python -m demo --out out
 
 test: $(VENV)/.dev $(KERNEL)  ## install, lint, type-check, run all tests but those in real time, and a smoke test of these
 	@echo "Lint, types and documentation, and beside them the tests ..."
@@ -131,15 +134,16 @@ test-page: $(VENV)/.browser $(KERNEL) | $(CHROMIUM)  ## the live page in a real 
 
 # What neither steps MuJoCo nor knows Gymnasium is the same with every version of them, and so are stops of the arms:
 # the other tests of tests/virtual run emulated cells.
-SAME_WITH_OLDEST = ur_emulator fuzz virtual/faults virtual/test_simulation.py virtual/test_point_stream.py \
-  $(addprefix sim2real/,calibration links processes protocol trajectory control/test_adapter.py control/test_pipeline.py)
+SAME_WITH_OLDEST = emulated fuzz virtual/faults virtual/test_simulation.py virtual/test_point_stream.py \
+  $(addprefix sim2real/,calibration links processes trajectory control/test_adapter.py control/test_pipeline.py)
 
 test-oldest: $(OLDEST)/.dev $(KERNEL)  ## the tests that step MuJoCo or know Gymnasium, with MuJoCo 3.17 and Gymnasium 1.2.2
-	@$(OLDEST)/bin/python -m pytest -n 2 --dist worksteal -m "not emulated" $(addprefix --ignore tests/,$(SAME_WITH_OLDEST))
+	@$(OLDEST)/bin/python -m pytest -n 2 --dist worksteal -m "not emulated" tests packages/ur-core/tests \
+	  $(addprefix --ignore tests/,$(SAME_WITH_OLDEST))
 
 dist: $(VENV)/.dev  ## build wheels and sdists into out/dist, and check each sdist by building from it
 	@rm -rf out/dist
-	@for each in packages/ur-core .; do $(VENV)/bin/python -m build --outdir out/dist $$each || exit 1; done
+	@for each in packages/ur-core packages/ur-emulator .; do $(VENV)/bin/python -m build --outdir out/dist $$each || exit 1; done
 
 # Not --quiet: it hides warnings from --strict as well.
 docs: $(VENV)/.dev $(KERNEL)  ## build the documentation site into out/site, strictly

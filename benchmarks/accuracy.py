@@ -28,9 +28,9 @@ import carry
 import handover
 import numpy as np
 
+from demo.case import Case, speed_ratio
+from demo.sine import ASYMMETRIC_CELL, PERTURBED_CELL, TASK, sine_case
 from dual_ur10.assets.settings import HOME_Q_RAD
-from dual_ur10.cli.demo_report.case import Case, speed_ratio
-from dual_ur10.cli.demo_report.sine import ASYMMETRIC_CELL, PERTURBED_CELL, TASK, sine_case
 from dual_ur10.envs.tasks.sine_tracking.settings import SineSettings
 from dual_ur10.envs.tasks.sine_tracking.task import SineTracking
 from dual_ur10.policies.evaluation.accuracy import accuracy

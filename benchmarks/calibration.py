@@ -36,15 +36,15 @@ from scipy import stats
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # simulated observations are those of the tests
 
+from demo.carry import CARRY_ID, TASK
+from demo.case import Case
 from dual_ur10 import ArmMount, CellConfig
-from dual_ur10.cli.demo_report.carry import CARRY_ID, TASK
-from dual_ur10.cli.demo_report.case import Case
 from dual_ur10.sim2real.calibration.estimate import LEVEL, BaseEstimate, estimate
 from dual_ur10.sim2real.calibration.observations import BarPose, Noise, Observation, Touch
 from dual_ur10.sim2real.calibration.recording import touched
 from dual_ur10.sim2real.calibration.suggestions import bar_candidates, best, plan, touch_candidates
 from dual_ur10.sim2real.calibration.transforms import right_in_left, rotation_of, rotvec_of
-from dual_ur10.sim2real.config.perturbation import Perturbation
+from dual_ur10.sim2real.cell.perturbation import Perturbation
 from tests.sim2real.calibration.simulated import bar_poses, board_views, held, random_dh
 from ur_core.kinematics.ur10 import NOMINAL_DH, DHParameters
 

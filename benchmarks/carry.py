@@ -24,9 +24,9 @@ from typing import Any
 import numpy as np
 from speed_meter import SpeedMeter
 
+from demo.carry import CARRY_ID, TASK
+from demo.case import Case
 from dual_ur10 import CellConfig, policies
-from dual_ur10.cli.demo_report.carry import CARRY_ID, TASK
-from dual_ur10.cli.demo_report.case import Case
 from dual_ur10.envs.core.options import DEFAULT_RATE_HZ
 from dual_ur10.envs.tasks.sync_carry.task import SyncCarry
 from dual_ur10.policies import evaluate

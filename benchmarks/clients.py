@@ -18,7 +18,7 @@ import sys
 import tempfile
 import time
 
-from ur_emulator.emulated_cell import EmulatedCell
+from dual_ur10.emulated.emulated_cell import EmulatedCell
 
 WORKER = pathlib.Path(__file__).parent / "workers" / "client_worker.py"
 LIBRARIES = {

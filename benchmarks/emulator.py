@@ -16,8 +16,8 @@ import time
 import numpy as np
 import psutil
 
+from dual_ur10.emulated.emulated_cell import EmulatedCell
 from ur_core.kinematics.ur10 import TICK_S
-from ur_emulator.emulated_cell import EmulatedCell
 
 ROOT = pathlib.Path(__file__).parents[1]
 

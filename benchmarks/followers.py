@@ -33,7 +33,7 @@ from scipy.spatial.transform import Rotation
 from dual_ur10.assets.props import BAR_MASS_KG
 from dual_ur10.sim2real.control.link_profiles import profile_for
 from dual_ur10.sim2real.peripherals.grippers import Grippers
-from dual_ur10.sim2real.runtime.point_stream import PointStream
+from dual_ur10.sim2real.programs.point_stream import PointStream
 from dual_ur10.sim2real.runtime.runner import Runner
 from dual_ur10.sim2real.trajectory.point_path import PointPath
 from ur_core.kinematics.forward import flange_pose
@@ -259,7 +259,7 @@ def emulated(task: str, plant: str) -> Iterator[Rig]:
     """Yield an emulated cell, in real time."""
     import tempfile
 
-    from dual_ur10.sim2real.config.cell_file import load_cell_file
+    from dual_ur10.sim2real.cell_file.cell_file import load_cell_file
     from dual_ur10.testing import EmulatedCell
     from ur_core.processes.system import LOCAL
 

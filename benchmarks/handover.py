@@ -22,9 +22,9 @@ from typing import Any
 
 from speed_meter import SpeedMeter
 
+from demo.case import Case
+from demo.handover import CASES, HANDOVER_ID
 from dual_ur10 import policies
-from dual_ur10.cli.demo_report.case import Case
-from dual_ur10.cli.demo_report.handover import CASES, HANDOVER_ID
 from dual_ur10.envs.core.options import DEFAULT_RATE_HZ
 from dual_ur10.envs.tasks.handover.task import Handover
 from dual_ur10.policies import evaluate

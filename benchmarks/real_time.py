@@ -22,12 +22,12 @@ from collections import Counter
 import gymnasium as gym
 import psutil
 
+from dual_ur10.emulated.emulated_cell import EmulatedCell
 from dual_ur10.errors import DualUR10Error
 from dual_ur10.policies import load, rollout
-from dual_ur10.sim2real.config.cell_file import load_cell_file
+from dual_ur10.sim2real.cell_file.cell_file import load_cell_file
 from dual_ur10.sim2real.runtime.latch import Latch
 from ur_core.kinematics.ur10 import ARMS, TICK_S
-from ur_emulator.emulated_cell import EmulatedCell
 
 
 def processor_s(cell):

@@ -29,17 +29,17 @@ import numpy as np
 
 from dual_ur10 import policies
 from dual_ur10.assets.settings import HOME_Q_RAD
+from dual_ur10.emulated.emulated_cell import EmulatedCell
 from dual_ur10.errors import CellFaulted, LinkError, StartError
 from dual_ur10.policies import evaluate, rollout
 from dual_ur10.sim2real.analysis.timing import timing
-from dual_ur10.sim2real.config.cell_file import load_cell_file
+from dual_ur10.sim2real.cell_file.cell_file import load_cell_file
 from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.runtime.arm_memory import Phase
 from dual_ur10.sim2real.runtime.arm_sender import STOP_RAD_S2
 from dual_ur10.sim2real.runtime.latch import Latch
 from dual_ur10.sim2real.runtime.runner import Runner
 from ur_core.kinematics.ur10 import TICK_S
-from ur_emulator.emulated_cell import EmulatedCell
 
 ARMS = ("left", "right")
 LATENCY_TICKS = 10
@@ -64,7 +64,7 @@ while True:
 KILLED = """
 import sys, time
 import numpy as np
-from dual_ur10.sim2real.config.cell_file import load_cell_file
+from dual_ur10.sim2real.cell_file.cell_file import load_cell_file
 from dual_ur10.sim2real.runtime.runner import Runner
 sys.path.insert(0, sys.argv[2])
 from runner import Swing

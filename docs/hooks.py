@@ -32,7 +32,7 @@ def command_line() -> str:
 
 def cell_file() -> str:
     """Return the reference of all keys of a cell file."""
-    from dual_ur10.sim2real.config.cell_file_reference import reference_page
+    from dual_ur10.sim2real.cell_file.reference import reference_page
 
     return reference_page()
 
@@ -88,9 +88,9 @@ def urscript() -> str:
     import numpy as np
 
     from ur_core.kinematics.ur10 import NOMINAL_DH
-    from ur_emulator.builtins import builtins_of
-    from ur_emulator.controller import Controller
-    from ur_emulator.profile import POLYSCOPES
+    from ur_emulator.builtins.table import builtins_of
+    from ur_emulator.controller.controller import Controller
+    from ur_emulator.controller.profile import POLYSCOPES
     from ur_emulator.script.manual import MANUAL
 
     functions = {

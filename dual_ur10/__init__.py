@@ -8,14 +8,20 @@ Importing the package registers the environments with Gymnasium and PettingZoo. 
     env = gym.make("DualUR10/SineTracking-v0")
 """
 
+import ur_core
 from dual_ur10.ids import __version__
 from ur_core.processes import interrupts  # first, so that Ctrl-C during what follows gives one line
+
+if ur_core.__version__ != __version__:
+    from ur_core.errors import MixedVersionsError
+
+    raise MixedVersionsError("dual-ur10", __version__, "ur-core", ur_core.__version__)
 
 if not interrupts.is_child():  # the processes that move, stop or record arms start faster without the rest
     from dual_ur10 import registration  # noqa: F401  # registers
     from dual_ur10.ids import ENV_IDS
-    from dual_ur10.sim2real.config.cell import CellConfig
-    from dual_ur10.sim2real.config.perturbation import TYPICAL_PERTURBATION, Perturbation
+    from dual_ur10.sim2real.cell.cell import CellConfig
+    from dual_ur10.sim2real.cell.perturbation import TYPICAL_PERTURBATION, Perturbation
     from ur_core.kinematics.frames import ArmMount
     from ur_core.kinematics.ur10 import DHParameters
     from ur_core.servoj import ServojProfile

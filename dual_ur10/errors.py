@@ -16,6 +16,9 @@ from ur_core.errors import (
     ClosedError as ClosedError,
 )
 from ur_core.errors import (
+    EmulatorError as EmulatorError,
+)
+from ur_core.errors import (
     KernelError as KernelError,
 )
 from ur_core.errors import (
@@ -23,6 +26,9 @@ from ur_core.errors import (
 )
 from ur_core.errors import (
     MissingExtraError as MissingExtraError,
+)
+from ur_core.errors import (
+    MotionError as MotionError,
 )
 from ur_core.errors import (
     OperationRefusedError as OperationRefusedError,
@@ -59,6 +65,9 @@ from ur_core.errors import (
 )
 from ur_core.errors import (
     URError,
+)
+from ur_core.errors import (
+    VirtualCellError as VirtualCellError,
 )
 from ur_core.errors import (
     distinguishable as distinguishable,
@@ -128,20 +137,8 @@ class ResetRefusedError(SettingsError):
     """Raised when a reset would move the arms of two controllers without the consent of its caller."""
 
 
-class MotionError(DualUR10Error, ValueError):
-    """Raised when the arguments of a motion command are invalid: a wrong length, NaN, a negative time."""
-
-
-class EmulatorError(DualUR10Error, RuntimeError):
-    """Raised when an emulated cell did not start, or has ended."""
-
-
 class CellFileError(SettingsError):
     """Raised when a cell file cannot be read, or holds a value that is not legal."""
-
-
-class VirtualCellError(DualUR10Error, RuntimeError):
-    """Raised when a virtual cell is asked for what only real processes show, or when none of its actors goes on."""
 
 
 class RecordingError(DualUR10Error, ValueError):

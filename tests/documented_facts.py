@@ -124,7 +124,7 @@ def constants() -> dict[str, str]:
     from dual_ur10.envs.core.setup import load_task
     from dual_ur10.envs.tasks.observation_layout import ConciseView
     from dual_ur10.ids import ENV_IDS
-    from dual_ur10.sim2real.config import cell
+    from dual_ur10.sim2real.cell import cell
     from dual_ur10.sim2real.control import cartesian_step, clearance, gate, proximity
     from dual_ur10.sim2real.runtime import (
         approach,

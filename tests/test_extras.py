@@ -45,6 +45,12 @@ def template(_, monkeypatch):
     page.render("page.html")
 
 
+def without_emulator(_, monkeypatch):
+    module = importlib.import_module("dual_ur10.emulated")
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    importlib.reload(module)
+
+
 # Extra, package that is missing, and what needs it.
 USES = (
     ("calibration", "cv2", called("dual_ur10.sim2real.calibration.board:opencv")),
@@ -53,7 +59,7 @@ USES = (
     ("data", "minari", called("dual_ur10.policies.evaluation.minari_export:to_minari", [], "x-v0")),
     ("dm", "dm_env", imported("dual_ur10.envs.api.dm_env")),
     ("dynamics", "pinocchio", called("ur_core.kinematics.dynamics:_model", "ur10", 0.123, (0.0, 0.0, 0.0), True)),
-    ("emulator", "lark", imported("ur_emulator.script")),
+    ("emulator", "ur_emulator", without_emulator),
     ("live", "viser", called("dual_ur10.envs.rendering.live.guard:make_server", None, "", "", None)),
     ("plot", "jinja2", template),
     ("plot", "matplotlib.figure", called("dual_ur10.policies.training.progress:draw_curve", Path(), "", ())),
@@ -71,10 +77,15 @@ USES = (
 )
 
 
+DISTRIBUTIONS = {"pinocchio": "ur-core", "greenlet": "ur-emulator"}
+
+
 @pytest.mark.parametrize(("extra", "package", "use"), USES, ids=[f"{extra}-{package}" for extra, package, _ in USES])
 def test_a_missing_package_is_named_with_its_extra(extra, package, use, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(MissingExtraError, match=re.escape(f'pip install "dual-ur10[{extra}]"')):
+    with pytest.raises(
+        MissingExtraError, match=re.escape(f'pip install "{DISTRIBUTIONS.get(package, "dual-ur10")}[{extra}]"')
+    ):
         use(tmp_path, monkeypatch)
 
 
@@ -92,11 +103,3 @@ def test_every_extra_has_such_a_test():
     extras = tomllib.loads(text)["project"]["optional-dependencies"].keys()
     of_the_project = {"dev", "docs", "fuzz", "test"}
     assert {extra for extra, *_ in USES} | {"all", "meshes", "rllib"} == extras - of_the_project
-
-
-def test_an_emulated_controller_needs_its_extra_before_a_process_starts(monkeypatch):
-    module = importlib.import_module("ur_emulator.emulated_cell")
-    monkeypatch.setattr(module.importlib.util, "find_spec", lambda name: None)
-    monkeypatch.setattr(module.subprocess, "Popen", None)
-    with pytest.raises(MissingExtraError, match=r"dual-ur10\[emulator\]"):
-        module.EmulatorProcess(None, {})

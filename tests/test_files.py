@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
+from dual_ur10.emulated.cell_emulator import write_cell_file
 from dual_ur10.errors import DualUR10Error
 from dual_ur10.policies.training.folder import _training_of
 from dual_ur10.policies.training.state import load_tensors
 from dual_ur10.sim2real.calibration import data_file, ur_calibration
-from dual_ur10.sim2real.config.cell_file import load_cell_file
+from dual_ur10.sim2real.cell_file.cell_file import load_cell_file
 from dual_ur10.sim2real.trajectory.files import read_trajectory
-from ur_emulator.emulator import write_cell_file
-from ur_emulator.program_files import script_texts
+from ur_emulator.controller.program_files import script_texts
 
 
 @contextlib.contextmanager

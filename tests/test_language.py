@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("dual_ur10", "ur_emulator", "packages/ur-core/ur_core")
+PACKAGES = ("dual_ur10", "packages/ur-emulator/ur_emulator", "packages/ur-core/ur_core")
 CLAUSES = {"What", "Whether", "Who", "How", "Where", "Why", "When"}
 """First words of summaries that are clauses, not noun phrases or imperatives."""
 

@@ -28,7 +28,7 @@ from dual_ur10.policies.learned.signature import view_of, view_of_signature
 from dual_ur10.policies.operators.catalog import make_device
 from dual_ur10.policies.training import dataset
 from dual_ur10.sim2real.analysis.reconstruction import keywords_of
-from dual_ur10.sim2real.config.cell_file import load_cell_file
+from dual_ur10.sim2real.cell_file.cell_file import load_cell_file
 from dual_ur10.sim2real.recording.header import from_metadata, plain, to_metadata
 from dual_ur10.sim2real.recording.run import Header
 from tests.fuzz.seeds import SEEDS

@@ -280,7 +280,7 @@ WRONG = {
     '@pytest.mark.emulated_cell("Handover")': "name each option",
     '@pytest.mark.parametrize("emulated_cell", ["Handover"], indirect=True)': "must be a dict",
     '@pytest.mark.emulated_cell(cell="x.toml")': "leave out `cell`",
-    "@pytest.mark.emulated_cell(colour=3)": "unknown options of the emulated cell: colour",
+    "@pytest.mark.emulated_cell(colour=3)": "unknown options of emulated controllers: colour",
 }
 
 

@@ -1,4 +1,4 @@
 """MuJoCo models: arm, tools, props, obstacles, the scene composed of them, and the collision model of the gate.
 
-Imports `kinematics` only. Imported by `sim2real` (clearance, scene settings) and `envs` (simulation, rendering).
+What holds for one arm or tool of any suite is not here, and neither is what a task does with a model.
 """

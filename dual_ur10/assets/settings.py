@@ -14,9 +14,9 @@ from dual_ur10.assets.obstacles import Obstacle, checked
 from dual_ur10.assets.prop import Camera, Prop, check_props
 from dual_ur10.errors import SettingsError
 from ur_core.kinematics.frames import MAX_MOUNT_M, ArmMount, finite_floats
-from ur_core.kinematics.inverse import try_nearest
-from ur_core.kinematics.robots import ROBOTS, robot_model
-from ur_core.kinematics.ur10 import ARMS, nominal_dh
+from ur_core.kinematics.home import FRONT_M, home_of, reach_ratio
+from ur_core.kinematics.robots import ROBOTS
+from ur_core.kinematics.ur10 import ARMS
 from ur_core.mjcf.gains import STIFF, Gains, check_gains, check_integrator
 from ur_core.tools.robotiq_2f85 import ROBOTIQ_2F85
 from ur_core.tools.tool import Tool, tools_of
@@ -31,27 +31,11 @@ MIN_BASE_DISTANCE_M: Final = 0.3
 DEFAULT_TOOLS: Final = (ROBOTIQ_2F85, ROBOTIQ_2F85)
 """Tools of both arms where neither task nor cell names others."""
 
-# Elbow up, tool z straight down, flange x towards the base: the rotation vector (pi, 0, 0) in UR's base frame.
-_HOME: Final = (-0.22036724, -1.4126697, 1.84438035, -2.00250698, -math.pi / 2, 1.35042908)
-
-HOME_Q_RAD: Final = constant([_HOME, _HOME])
+HOME_Q_RAD: Final = constant([home_of("ur10"), home_of("ur10")])
 """(2, 6) rad, of two UR10s: flanges 0.75 m in front of the bases and 0.4 m above them, at (0, ±0.6, 0.4) with default
 mounts."""
 
-_HOME_M: Final = (0.75, 0.4)  # in front of the base and above it
 _SIDE_M: Final = 0.6
-_TOOL_DOWN: Final = np.diag([1.0, -1.0, -1.0])
-
-
-@lru_cache(maxsize=len(ROBOTS))
-def _home_of(robot: str) -> tuple[float, ...]:
-    """Return the home configuration of a model: flange 0.4 m above the base, before it in proportion to its reach."""
-    if robot == "ur10":
-        return _HOME
-    front, up = _HOME_M
-    place = (-front * _reach_ratio(robot), 0.0, up)
-    q, _ = try_nearest(place, _TOOL_DOWN, _HOME, nominal_dh(robot))  # a test holds that all reach it
-    return tuple(q.tolist())
 
 
 def home_q_rad(mounts: Sequence[ArmMount]) -> Array:
@@ -60,11 +44,7 @@ def home_q_rad(mounts: Sequence[ArmMount]) -> Array:
     Args:
         mounts: Mounts of both arms.
     """
-    return np.array([_home_of(mount.robot) for mount in mounts])
-
-
-def _reach_ratio(robot: str) -> float:
-    return robot_model(robot).reach_m / ROBOTS["ur10"].reach_m
+    return np.array([home_of(mount.robot) for mount in mounts])
 
 
 @lru_cache(maxsize=2 * len(ROBOTS))
@@ -78,8 +58,7 @@ def default_mount(arm: int, robot: str = "ur10") -> ArmMount:
     Raises:
         UnknownNameError: There is no such model.
     """
-    front, _ = _HOME_M
-    return ArmMount((-front * _reach_ratio(robot), _SIDE_M * (1 - 2 * arm), 0.0), robot=robot)
+    return ArmMount((-FRONT_M * reach_ratio(robot), _SIDE_M * (1 - 2 * arm), 0.0), robot=robot)
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,8 @@ from ur_core.processes.system import LOCAL
 if TYPE_CHECKING:
     from dual_ur10.sim2real.calibration.estimate import BaseEstimate
     from dual_ur10.sim2real.calibration.observations import Noise, Observation
-    from dual_ur10.sim2real.config.cell_file import CellFile
-    from dual_ur10.sim2real.config.cell_file_tables import ArmEntry, Calibration
+    from dual_ur10.sim2real.cell_file.cell_file import CellFile
+    from dual_ur10.sim2real.cell_file.tables import ArmEntry, Calibration
 
 _KINDS: Final = ("touch", "bar")
 _PLANNED: Final = 8  # touches that a calibration begins with
@@ -82,7 +82,7 @@ def calibrate(
     from dual_ur10.sim2real.calibration import data_file
     from dual_ur10.sim2real.calibration.estimate import estimate
     from dual_ur10.sim2real.calibration.transforms import right_in_left
-    from dual_ur10.sim2real.config.cell_file import load_cell_file
+    from dual_ur10.sim2real.cell_file.cell_file import load_cell_file
 
     if record is not None and record not in _KINDS:
         raise UnknownNameError("kind of observation", record, _KINDS)

@@ -35,7 +35,7 @@ def new(
     task: Annotated[str | None, typer.Option("--task", help="Environment for which the cell is set up.")] = None,
 ) -> None:
     """Write a commented cell file to start from, slow enough for a first run. Files are never overwritten."""
-    from dual_ur10.sim2real.config.cell_file_reference import starting_text, write_new
+    from dual_ur10.sim2real.cell_file.reference import starting_text, write_new
 
     if kind not in ("real", "emulated"):
         raise UnknownNameError("kind of cell", kind, ("real", "emulated"))
@@ -56,7 +56,7 @@ def new(
 @app.command(epilog=example_of("cell check lab.toml"))
 def check(file: File) -> None:
     """Report all errors of a cell file, a line each. Connects to nothing."""
-    from dual_ur10.sim2real.config.cell_file import examine
+    from dual_ur10.sim2real.cell_file.cell_file import examine
 
     cell, findings = examine(file)
     if cell is not None:
@@ -76,7 +76,7 @@ def check(file: File) -> None:
 @app.command(epilog=example_of("cell show lab.toml"))
 def show(file: File) -> None:
     """Show all values of a cell file, defaults included."""
-    from dual_ur10.sim2real.config.cell_file import load_cell_file
+    from dual_ur10.sim2real.cell_file.cell_file import load_cell_file
 
     cell = load_cell_file(file)
     values = cell.mapping()
@@ -102,9 +102,9 @@ def clear(
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask. Only for emulated cells.")] = False,
 ) -> None:
     """Clear a latched stop, once an operator has checked both arms, and report what still prevents a start."""
+    from dual_ur10.sim2real.cell_file.cell_file import load_cell_file
     from dual_ur10.sim2real.commissioning.doctor import check_file
     from dual_ur10.sim2real.commissioning.operator_prompts import ask_at_terminal
-    from dual_ur10.sim2real.config.cell_file import load_cell_file
     from dual_ur10.sim2real.runtime.latch import Latch
 
     cell = load_cell_file(file)

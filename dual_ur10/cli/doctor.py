@@ -29,7 +29,7 @@ from dual_ur10.cli.options import (
     progress_of,
 )
 from dual_ur10.errors import SettingsError
-from dual_ur10.sim2real.config.cell_file import load_cell_file
+from dual_ur10.sim2real.cell_file.cell_file import load_cell_file
 from ur_core.kinematics.ur10 import ARMS, Family
 
 if TYPE_CHECKING:

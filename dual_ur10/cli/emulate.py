@@ -51,10 +51,10 @@ def emulate(
     view: View = False,
 ) -> None:
     """Run two emulated UR controllers on this machine, with simulated arms behind them, until Ctrl-C."""
-    from ur_emulator.emulator import Emulator, EmulatorOptions
+    from dual_ur10.emulated.cell_emulator import CellEmulator, CellOptions
 
     log_warnings()
-    options = EmulatorOptions(
+    options = CellOptions(
         left=left,
         right=right,
         family=family,
@@ -70,9 +70,10 @@ def emulate(
         cell=cell,
         programs=programs,
     )
-    emulator = Emulator(options)
+    emulator = CellEmulator(options)
     hosts = [server.host for server in emulator.servers]
-    serve([emulator], title=f"left  [bold cyan]{hosts[0]}[/]\nright [bold cyan]{hosts[1]}[/]\n")
+    title = f"left  [bold cyan]{hosts[0]}[/]\nright [bold cyan]{hosts[1]}[/]\n"
+    serve([emulator], title=title, notes=[] if cell is None else [f"cell file {cell}"])
 
 
 def _of_each(value: str | None) -> str | list[str] | None:

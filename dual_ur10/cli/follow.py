@@ -26,7 +26,7 @@ from dual_ur10.cli.options import (
     power_on,
 )
 from dual_ur10.errors import SettingsError, TrajectoryError
-from dual_ur10.sim2real.config.cell_file import load_cell_file
+from dual_ur10.sim2real.cell_file.cell_file import load_cell_file
 from dual_ur10.sim2real.trajectory.goal import GoalState
 from ur_core.files import check_target
 from ur_core.kinematics.ur10 import ARMS, JOINTS
@@ -35,7 +35,7 @@ from ur_core.processes.system import LOCAL, System
 from ur_core.types import Array, Closing
 
 if TYPE_CHECKING:
-    from dual_ur10.sim2real.config.cell_file import CellFile
+    from dual_ur10.sim2real.cell_file.cell_file import CellFile
     from dual_ur10.sim2real.trajectory.executor import TrajectoryExecutor
     from dual_ur10.sim2real.trajectory.goal import Feedback, Result, TrajectoryGoal
     from dual_ur10.sim2real.trajectory.handle import GoalHandle
@@ -360,9 +360,9 @@ def _stream(trajectory: JointTrajectory, cell: CellFile, rate_hz: float, system:
         DualUR10Error: The path is refused, or both arms were stopped.
     """
     from dual_ur10.sim2real.control.link_profiles import profile_for
-    from dual_ur10.sim2real.recording.program_box import ProgramBox
-    from dual_ur10.sim2real.runtime.point_stream import PointStream
-    from dual_ur10.sim2real.runtime.stream_motion import Progress
+    from dual_ur10.sim2real.programs.point_stream import PointStream
+    from dual_ur10.sim2real.programs.program_box import ProgramBox
+    from dual_ur10.sim2real.programs.stream_motion import Progress
 
     next_s = 0.0
 

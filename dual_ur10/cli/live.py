@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.markup import escape
 
 from dual_ur10.cli.options import (
     POLICIES,
@@ -151,9 +152,9 @@ def _tell(page: LivePage, *, browser: bool) -> None:
 
 
 def _watch(setup: EnvSetup, page: LivePage, seconds: float | None, *, browser: bool) -> None:
-    from dual_ur10.cli.live_session import WatchSession
     from dual_ur10.cli.status_view import StatusView
-    from dual_ur10.sim2real.config.cell_file import CellFile
+    from dual_ur10.cli.watch_session import WatchSession
+    from dual_ur10.sim2real.cell_file.cell_file import CellFile
     from ur_core.kinematics.ur10 import ARMS
     from ur_core.processes.system import LOCAL
 
@@ -198,8 +199,8 @@ def lead(
     Raises:
         DualUR10Error: A name or a value is not legal, or a device cannot be opened; see also `LiveSession.run`.
     """
-    from dual_ur10.cli.live_session import LiveSession
     from dual_ur10.policies.operators.catalog import operator_with
+    from dual_ur10.policies.operators.session import LiveSession
 
     first, *_ = policies
     device: Any = None
@@ -216,7 +217,7 @@ def lead(
         device, mapping = _device(operator, setup, page)
         person = None if device is None else operator_with(device, setup, mapping)
         names = [each for each in policies if each is not None]
-        session = LiveSession(made, actor if first else None, person, page, seed, names, acting)
+        session = LiveSession(made, actor if first else None, person, page, seed, names, acting, _alarm)
         _tell(page, browser=browser)
         if setup.config.controllers and not unattended:
             console.print(
@@ -226,6 +227,10 @@ def lead(
         session.run(seconds)
     finally:
         close(session.shown if session else made, session.operator if session else person)
+
+
+def _alarm(text: str) -> None:
+    errors.print(f"[bold red]error:[/] [red]{escape(text)}[/]", soft_wrap=True, highlight=False)
 
 
 def _device(text: str, setup: EnvSetup, page: LivePage) -> tuple[Any, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import traceback
 from collections.abc import Iterator, Mapping
@@ -27,7 +28,6 @@ _STOPPED: Final = "both arms were stopped"
 _COMMANDS: Final[dict[str, dict[str, str]]] = {
     "Simulate": {
         "list": "list:list_environments",
-        "demo --quick": "demo:demo",
         "view Handover --policy learned": "view:view",
         "live Handover --policy scripted": "live:live",
         "video Handover --policy learned --cameras front,left/wrist,right/wrist -o handover.mp4": "video:video",
@@ -58,6 +58,23 @@ _COMMANDS: Final[dict[str, dict[str, str]]] = {
     },
 }
 """Examples of the commands, and "module:function" of each, by the panel of the help that lists them."""
+
+
+@contextlib.contextmanager
+def one_line_errors() -> Iterator[None]:
+    """End named errors in a line on stderr and exit code 2, and Ctrl-C as every program of this package does."""
+    try:
+        yield
+    except (DualUR10Error, gym.error.Error) as error:
+        errors.print(f"[bold red]error:[/] [red]{escape(' '.join(str(error).split()))}[/]", soft_wrap=True)
+        raise typer.Exit(USAGE_ERROR) from None
+    except KeyboardInterrupt:
+        end_interrupted()
+    except Exception as error:
+        if not any(_STOPPED in note for note in getattr(error, "__notes__", ())):
+            raise
+        traceback.print_exception(error)  # its last line is the note, which says how to go on
+        raise typer.Exit(USAGE_ERROR) from None
 
 
 class _Plain:
@@ -124,19 +141,8 @@ class _Commands(_Group):
         self.commands = _Loaded()  # type: ignore[assignment]  # nothing is added later
 
     def invoke(self, ctx: Any) -> Any:
-        try:
-            with at_end:
-                return super().invoke(ctx)
-        except (DualUR10Error, gym.error.Error) as error:
-            errors.print(f"[bold red]error:[/] [red]{escape(' '.join(str(error).split()))}[/]", soft_wrap=True)
-            raise typer.Exit(USAGE_ERROR) from None
-        except KeyboardInterrupt:
-            end_interrupted()
-        except Exception as error:
-            if not any(_STOPPED in note for note in getattr(error, "__notes__", ())):
-                raise
-            traceback.print_exception(error)  # its last line is the note, which says how to go on
-            raise typer.Exit(USAGE_ERROR) from None
+        with one_line_errors(), at_end:
+            return super().invoke(ctx)
 
 
 class _Shown(logging.Handler):

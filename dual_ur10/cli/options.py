@@ -23,7 +23,7 @@ from dual_ur10 import policies
 from dual_ur10.errors import MissingExtraError, SettingsError, UnknownNameError, nearest_name
 from dual_ur10.ids import env_id_of
 from dual_ur10.policies.registry import check_name, keywords_for, wrong_types_named
-from dual_ur10.sim2real.config.cell_kinds import CELL_KINDS
+from dual_ur10.sim2real.cell.cell_kinds import CELL_KINDS
 from ur_core.kinematics.robots import robot_model
 from ur_core.processes.machine_load import too_busy
 
@@ -191,8 +191,8 @@ def keywords_of(
     if arm is not None:
         keywords["arm"] = arm
     if perturbed:
-        from dual_ur10.sim2real.config.cell import CellConfig
-        from dual_ur10.sim2real.config.perturbation import TYPICAL_PERTURBATION
+        from dual_ur10.sim2real.cell.cell import CellConfig
+        from dual_ur10.sim2real.cell.perturbation import TYPICAL_PERTURBATION
 
         keywords["cell"] = CellConfig(perturbation=TYPICAL_PERTURBATION)
     for text in settings or ():
@@ -247,8 +247,7 @@ PACKAGES: Final[Mapping[str, Mapping[str, str]]] = {
     "calibration": {"OpenCV": "cv2", "PyYAML": "yaml", "scipy": "scipy", "tomlkit": "tomlkit"},
     "data": {"Minari": "minari"},
     "dm": {"dm-env": "dm_env", "dm-control": "dm_control"},
-    "dynamics": {"pin": "pinocchio"},
-    "emulator": {"lark": "lark"},
+    "emulator": {"ur-emulator": "ur_emulator"},
     "live": {"viser": "viser"},
     "plot": {"matplotlib": "matplotlib", "imageio-ffmpeg": "imageio_ffmpeg", "jinja2": "jinja2"},
     "real": {"ur_rtde": "rtde_control", "PyYAML": "yaml", "scipy": "scipy"},
@@ -256,7 +255,7 @@ PACKAGES: Final[Mapping[str, Mapping[str, str]]] = {
     "serial": {"pyserial": "serial"},
     "teleop": {"PySDL2": "sdl2", "pyserial": "serial"},
     "train": {"stable-baselines3": "stable_baselines3", "torch": "torch"},
-    "virtual": {"greenlet": "greenlet", "lark": "lark", "ur_rtde": "rtde_control"},
+    "virtual": {"ur-emulator": "ur_emulator", "greenlet": "greenlet", "ur_rtde": "rtde_control"},
 }
 """Modules by which packages are found, by extra and package."""
 
@@ -375,9 +374,9 @@ def power_on(cell: Path | None) -> None:
     """
     if cell is None:
         raise SettingsError("--power-on is for two controllers: name their cell file with --cell")
+    from dual_ur10.sim2real.cell_file.cell_file import load_cell_file
     from dual_ur10.sim2real.commissioning import power
     from dual_ur10.sim2real.commissioning.operator_prompts import prompt_for
-    from dual_ur10.sim2real.config.cell_file import load_cell_file
 
     file = load_cell_file(cell)
     power.power_on(file, prompt_for(file))

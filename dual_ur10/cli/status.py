@@ -14,7 +14,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from dual_ur10.cli.options import console
-from dual_ur10.sim2real.config.cell_file import load_cell_file
+from dual_ur10.sim2real.cell_file.cell_file import load_cell_file
 from ur_core.kinematics.ur10 import ARMS
 from ur_core.processes.system import LOCAL
 

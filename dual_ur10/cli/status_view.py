@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
 from dual_ur10.errors import DualUR10Error
-from dual_ur10.sim2real.config.cell_file_tables import ArmEntry, RobotiqSocket
+from dual_ur10.sim2real.cell_file.tables import ArmEntry, RobotiqSocket
 from dual_ur10.sim2real.peripherals.gripper_link import GripperReading, RobotiqLink
 from ur_core.links.arm_status import OPTIONAL_VARIABLES, STATUS_VARIABLES, ArmStatus
 from ur_core.links.dashboard_link import DashboardLink

@@ -13,13 +13,13 @@ from rich.markup import escape
 
 from dual_ur10.cli.options import PowerOn, console, interrupts_noted, power_on
 from dual_ur10.errors import UnknownNameError
-from dual_ur10.sim2real.config.cell_file import load_cell_file
+from dual_ur10.sim2real.cell_file.cell_file import load_cell_file
 from ur_core.kinematics.ur10 import ARMS
 from ur_core.processes.system import LOCAL, System
 
 if TYPE_CHECKING:
-    from dual_ur10.sim2real.config.cell_file import CellFile
-    from dual_ur10.sim2real.runtime.teaching import Key
+    from dual_ur10.sim2real.cell_file.cell_file import CellFile
+    from dual_ur10.sim2real.teaching.teaching import Key
 
 
 def teach(
@@ -68,10 +68,10 @@ def record(
     Raises:
         DualUR10Error: See `HandGuiding`, `PointRecorder` and `TaughtFile`.
     """
-    from dual_ur10.sim2real.recording.program_box import ProgramBox
-    from dual_ur10.sim2real.runtime.hand_guiding import HandGuiding
-    from dual_ur10.sim2real.runtime.teaching import PointRecorder
-    from dual_ur10.sim2real.trajectory.taught_file import TaughtFile
+    from dual_ur10.sim2real.programs.program_box import ProgramBox
+    from dual_ur10.sim2real.teaching.hand_guiding import HandGuiding
+    from dual_ur10.sim2real.teaching.taught_file import TaughtFile
+    from dual_ur10.sim2real.teaching.teaching import PointRecorder
 
     def say(text: str) -> None:
         console.print(escape(text), highlight=False, soft_wrap=True)
@@ -97,7 +97,7 @@ class _Terminal:
         self._interrupted, self._typed, self._ended = interrupted, b"", False
 
     def __call__(self) -> Key | None:
-        from dual_ur10.sim2real.runtime.teaching import Key
+        from dual_ur10.sim2real.teaching.teaching import Key
 
         number = sys.stdin.fileno()
         while not self._ended and LOCAL.clock.wait((number,), 0.0)[0]:

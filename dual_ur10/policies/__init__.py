@@ -8,7 +8,6 @@
 
 Any object with the two methods of `Policy` can be evaluated, and so can a plain function of the observation. Importing
 this package loads neither MuJoCo nor torch.
-Imports `envs`; imported by `sim2real.analysis`, `testing` and `cli`.
 """
 
 from __future__ import annotations

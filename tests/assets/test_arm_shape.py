@@ -15,10 +15,10 @@ from dual_ur10.assets.settings import (
     default_mount,
     home_q_rad,
 )
-from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.sim2real.control.clearance import Clearance
 from tests.kinematics.reference_arm import calibration, random_q
 from ur_core import kinematics
+from ur_core.errors import SettingsError, UnknownNameError
 from ur_core.kinematics.frames import ArmMount
 from ur_core.kinematics.robots import ROBOTS
 from ur_core.kinematics.ur10 import ARMS, LINKS, NOMINAL_DH, DHParameters, nominal_dh

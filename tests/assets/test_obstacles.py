@@ -21,13 +21,14 @@ from dual_ur10.assets.obstacles import Box, Capsule, Obstacle, Plane, geom_name
 from dual_ur10.assets.props import BLOCK, BLOCK_SIZE_M
 from dual_ur10.assets.scene import build_model, compose
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
-from dual_ur10.errors import CollisionAtStartError, SettingsError
+from dual_ur10.errors import CollisionAtStartError
 from dual_ur10.sim2real.control.adapter import ServojAdapter
 from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate
 from tests.sim2real.control.motion_checks import HARD
 from tests.sim2real.control.reference_cell import UNEQUAL, contacts, random_q
 from tests.soak import scaled
+from ur_core.errors import SettingsError
 from ur_core.kinematics.frames import ArmMount
 from ur_core.kinematics.ur10 import ARMS, LINKS, NOMINAL_DH
 from ur_core.mjcf.gains import COMPLIANT

@@ -17,9 +17,9 @@ from dual_ur10.assets.visuals import cameras
 from dual_ur10.envs.core.randomization import Randomization, apply_sample
 from dual_ur10.envs.core.sensing import Sensing
 from dual_ur10.envs.sim.mujoco_cell import MujocoCell
-from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.sim2real.config.cell import Start
+from dual_ur10.sim2real.cell.cell import Start
 from dual_ur10.sim2real.control.adapter import Command
+from ur_core.errors import SettingsError, UnknownNameError
 from ur_core.mjcf.gains import STIFF
 
 PEG = Prop(

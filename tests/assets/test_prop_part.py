@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from dual_ur10.assets.prop import Prop
 from dual_ur10.assets.prop_part import PropPart
-from dual_ur10.errors import UnknownNameError
+from ur_core.errors import UnknownNameError
 from ur_core.kinematics.poses import Poses
 
 GEOM = "<geom type='box' size='.02 .02 .02' mass='.1'/>"

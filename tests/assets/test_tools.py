@@ -15,11 +15,11 @@ from dual_ur10.assets.collision_model import build_collision_model
 from dual_ur10.assets.scene import build_model
 from dual_ur10.assets.settings import DEFAULT_TOOLS, HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.envs.core.options import MOVE_TO_START
-from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.policies import load
-from dual_ur10.sim2real.config.cell import CellConfig
+from dual_ur10.sim2real.cell.cell import CellConfig
 from dual_ur10.sim2real.recording.header import built as built_of
 from dual_ur10.sim2real.recording.header import plain
+from ur_core.errors import SettingsError, UnknownNameError
 from ur_core.kinematics.ur10 import ARMS
 from ur_core.tools.generic_140 import GENERIC_140
 from ur_core.tools.robotiq_2f85 import ROBOTIQ_2F85

@@ -5,13 +5,13 @@ import threading
 import numpy as np
 
 from dual_ur10.cli.live import buttons_of
-from dual_ur10.cli.live_session import LiveSession
 from dual_ur10.cli.options import make
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.rendering.live.viewpoints import CAMERA, FOV_RAD
 from dual_ur10.errors import DeviceUnpluggedError, RenderError
 from dual_ur10.policies.operators.catalog import operator_with
 from dual_ur10.policies.operators.page import PageDevice, open_page
+from dual_ur10.policies.operators.session import LiveSession
 
 RUN_S = 600.0
 """Longest time that a session runs, should a test hang."""

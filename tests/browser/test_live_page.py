@@ -244,6 +244,7 @@ def test_the_button_stops_both_arms_of_controllers(new_page):
         live = Live({"cell": cell}, task="SineTracking", policy="scripted", threaded=False)
         try:
             page = new_page(live.url, TINY)
+            until(lambda: live.page.memory.pages == 1, SOON_S)
             live.session.begin(0)
             live.session.turn()
             page.get_by_text("streaming").first.wait_for()
@@ -265,12 +266,12 @@ def test_both_arms_of_controllers_stop_once_the_last_page_is_closed(new_page):
         live = Live({"cell": cell}, task="SineTracking", policy="scripted", threaded=False)
         try:
             page = new_page(live.url, TINY)
+            # A page shows its buttons before it is connected, and arms that nobody watches stop after 3 s.
+            until(lambda: live.page.memory.pages == 1, SOON_S)
             live.session.begin(0)
             live.session.turn()
             page.get_by_text("streaming").first.wait_for()
             fault = live.core.cell.runner.cell
-            page.reload()
-            page.get_by_text("none commands").wait_for()
             assert not fault.fault
             page.context.close()
             until(lambda: fault.fault, SOON_S)

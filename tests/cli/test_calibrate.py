@@ -8,18 +8,18 @@ import json
 import numpy as np
 import pytest
 
+from dual_ur10.emulated.cell_emulator import write_cell_file
 from dual_ur10.errors import CalibrationError, CellFileError, SettingsError, StartError
 from dual_ur10.sim2real.analysis.cell_update import write_bases
 from dual_ur10.sim2real.calibration.estimate import estimate
 from dual_ur10.sim2real.calibration.recording import emulated_base, read_joints
 from dual_ur10.sim2real.calibration.transforms import right_in_left
-from dual_ur10.sim2real.config.cell_file import CellFile, load_cell_file
-from dual_ur10.sim2real.config.cell_file_reference import starting_text
+from dual_ur10.sim2real.cell_file.cell_file import CellFile, load_cell_file
+from dual_ur10.sim2real.cell_file.reference import starting_text
 from dual_ur10.sim2real.runtime.rtde_cell import _check_bases
 from dual_ur10.testing import VirtualCell
 from tests.cli import command
 from tests.sim2real.calibration.cells import NEAR, NOMINAL, PLANNED, shifted, touches
-from ur_emulator.emulator import write_cell_file
 
 run = functools.partial(command.run, "cell", "calibrate")
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from dual_ur10.sim2real.cell_file.cell_file import load_cell_file
 from dual_ur10.sim2real.commissioning.findings import Finding
-from dual_ur10.sim2real.config.cell_file import load_cell_file
 from dual_ur10.sim2real.runtime.latch import Latch
 from tests.cli import command
 

@@ -12,8 +12,8 @@ import pytest
 
 from dual_ur10.cli import options
 from dual_ur10.cli.live import buttons_of
-from dual_ur10.cli.live_session import LiveSession, WatchSession
 from dual_ur10.cli.train import _meet
+from dual_ur10.cli.watch_session import WatchSession
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.rendering.live.buttons import EPISODES, TAKES
 from dual_ur10.envs.rendering.live.guard import bind
@@ -23,6 +23,7 @@ from dual_ur10.errors import CellFaulted, DeviceGarbageError, RenderError, Start
 from dual_ur10.policies import load
 from dual_ur10.policies.operators import page as page_module
 from dual_ur10.policies.operators.catalog import operator_with
+from dual_ur10.policies.operators.session import LiveSession
 from dual_ur10.policies.registry import keywords_for
 from dual_ur10.policies.training.demonstrations import Demonstration
 from tests.cli.command import run
@@ -43,7 +44,8 @@ class Driver(RawPage):
         self.core = self.env.unwrapped.core
         actor = None if policy is None else load(policy, setup.env_id, **keywords)
         self.operator = operator_with(self.device, setup)
-        self.session = LiveSession(self.env, actor, self.operator, self.page, 0)
+        self.alarms = []
+        self.session = LiveSession(self.env, actor, self.operator, self.page, 0, report=self.alarms.append)
         self.session.begin(0)
 
     def turn(self, count=1):
@@ -340,7 +342,7 @@ def slept_in(driver, count, monkeypatch):
 
     stopped = types.SimpleNamespace(monotonic=lambda: 0.0, sleep=slept.append)
     with monkeypatch.context() as patch:
-        patch.setattr("dual_ur10.cli.live_session.time", stopped)
+        patch.setattr("dual_ur10.policies.operators.session.time", stopped)
         patch.setattr(LivePage, "lost", "")
         patch.setattr(driver.session, "turn", turned)
         with pytest.raises(StopIteration):
@@ -399,7 +401,7 @@ def test_a_gripper_opens_and_closes_while_its_handle_is_held(drive):
     np.testing.assert_allclose(driver.core.pipeline.commanded_widths_m[0], [left, right], atol=1e-6)
 
 
-def test_a_button_latches_a_stop_of_a_virtual_cell(drive, monkeypatch, capsys):
+def test_a_button_latches_a_stop_of_a_virtual_cell(drive, monkeypatch):
     from dual_ur10.testing import VirtualCell
 
     with VirtualCell() as cell:
@@ -418,7 +420,8 @@ def test_a_button_latches_a_stop_of_a_virtual_cell(drive, monkeypatch, capsys):
         driver.turn(3)
         assert "live page" in driver.core.cell.runner.cell.fault
         assert driver.words["program"].startswith("LATCHED")
-        assert capsys.readouterr().err.count("both arms were stopped") == 1  # perhaps nobody sees the page
+        (alarm,) = driver.alarms  # perhaps nobody sees the page
+        assert "both arms were stopped" in alarm
         driver.press("reset")
         driver.turn(3)
         assert driver.session.shown.episode == 1  # a person clears it, not the page

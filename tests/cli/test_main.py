@@ -22,6 +22,7 @@ from rich.console import Console
 
 from dual_ur10 import ENV_IDS, __version__
 from dual_ur10.cli import options as cli_options
+from dual_ur10.emulated.virtual_cell import VirtualCell
 from dual_ur10.envs.core.setup import load_task
 from dual_ur10.errors import MissingExtraError, SettingsError
 from dual_ur10.policies.baselines import BASELINES
@@ -32,7 +33,6 @@ from tests.cli.command import run
 from ur_core.kinematics.robots import ROBOTS
 from ur_core.processes.interrupts import INTERRUPTED
 from ur_core.tools.tool import tool_names
-from ur_emulator.virtual.virtual_cell import VirtualCell
 
 WAIT_S = 60.0
 SHORT = ("--set", "duration_s=0.4")
@@ -88,9 +88,8 @@ def test_list_names_policies_devices_grippers_and_robots_with_a_line_of_each() -
 @pytest.mark.parametrize(
     ("command", "words"),
     [
-        ((), ("list", "demo", "rollout", "view", "--version")),
+        ((), ("list", "rollout", "view", "--version")),
         (("list",), ("environments",)),
-        (("demo",), ("--out", "--quick", "report.html")),
         (("rollout",), ("ENV", "--policy", "--episodes", "--seed", "--set", "--perturbed", "KEY=VALUE")),
         (("view",), ("ENV", "--policy", "--seconds", "browser")),
         (
@@ -552,11 +551,13 @@ def test_extras_are_those_that_errors_and_the_package_name() -> None:
     known = tomllib.loads((root / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     assert cli_options.PACKAGES.keys() <= known.keys()
     named = set()
-    for path in (each for package in ("dual_ur10", "ur_emulator") for each in (root / package).rglob("*.py")):
+    for path in (each for package in ("dual_ur10", "packages") for each in (root / package).rglob("*.py")):
         named |= set(re.findall(r'MissingExtraError\("([^"]+)", "([^"]+)"', path.read_text()))
     assert len(named) > 10
     assert {(package, extra) for package, extra in named if package not in cli_options.PACKAGES.get(extra, ())} == {
-        ("example-robot-data", "meshes")  # for a keyword, not for a command
+        ("example-robot-data", "meshes"),  # for a keyword, not for a command
+        ("dual-ur10", "emulator"),  # of the emulator's own command
+        ("pin", "dynamics"),  # for functions of URScript
     }
 
 

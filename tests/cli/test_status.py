@@ -9,10 +9,10 @@ from typer.testing import CliRunner
 
 from dual_ur10.cli.status import status
 from dual_ur10.cli.status_view import StatusView
+from dual_ur10.emulated.cell_emulator import write_cell_file
 from dual_ur10.sim2real.peripherals.gripper_link import RobotiqLink
 from dual_ur10.testing import VirtualCell
 from tests import waiting
-from ur_emulator.emulator import write_cell_file
 
 
 @pytest.fixture(scope="module")

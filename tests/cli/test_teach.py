@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import pytest
 
 from dual_ur10.cli import teach
-from dual_ur10.sim2real.config.cell_file_reference import starting_text
-from dual_ur10.sim2real.runtime.teaching import Key
+from dual_ur10.sim2real.cell_file.reference import starting_text
+from dual_ur10.sim2real.teaching.teaching import Key
 from tests.cli.command import run
 
 

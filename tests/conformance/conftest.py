@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import pytest
 
+from dual_ur10.emulated.emulated_cell import EmulatedCell
 from tests.conformance import wire
 from tests.conformance.wire import Bounded, Dashboard, Rtde
-from ur_emulator.emulated_cell import EmulatedCell
-from ur_emulator.profile import PROFILES
+from ur_emulator.controller.profile import PROFILES
 
 STATE = "timestamp,runtime_state,robot_mode,safety_mode,actual_q"
 

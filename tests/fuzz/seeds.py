@@ -13,7 +13,7 @@ from safetensors.numpy import save
 
 from dual_ur10.policies.learned.checkpoint import _tensors
 from dual_ur10.sim2real.calibration import data_file
-from dual_ur10.sim2real.config.cell_file_reference import EXAMPLES, starting_text
+from dual_ur10.sim2real.cell_file.reference import EXAMPLES, starting_text
 from dual_ur10.sim2real.recording import mcap_records as mcap
 from dual_ur10.sim2real.recording.encoding import single_record
 from dual_ur10.sim2real.recording.rows import BeginRow, StepRow
@@ -26,7 +26,7 @@ from tests.ur_emulator.rtde_bytes import VERSION_2, data, inputs, message, outpu
 from ur_core.kinematics.ur10 import NOMINAL_DH
 from ur_core.protocol.primary_messages import version_message
 from ur_core.protocol.primary_packet import PrimaryPacket
-from ur_emulator.rtde_variables import zero_values
+from ur_emulator.ports.rtde_variables import zero_values
 
 _SAMPLE: Final = "d6diI"
 _STREAM: Final = [

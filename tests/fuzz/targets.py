@@ -20,27 +20,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from dual_ur10.errors import (
-    CalibrationError,
-    CellFileError,
-    CheckpointError,
-    LinkError,
-    OperationRefusedError,
-    ProtocolError,
-    RecordingError,
-    ScriptError,
-    SettingsError,
-    TrajectoryError,
-    UnknownNameError,
-)
+from dual_ur10.errors import CalibrationError, CellFileError, CheckpointError, RecordingError, TrajectoryError
 from dual_ur10.policies.learned import schema
 from dual_ur10.policies.learned.checkpoint import _layers
 from dual_ur10.policies.learned.manifest import FORMAT, _checksum, parse
 from dual_ur10.sim2real.calibration import data_file
-from dual_ur10.sim2real.config.cell_file import examine_text
-from dual_ur10.sim2real.config.cell_file_tables import EmulatedTrackerEntry
+from dual_ur10.sim2real.cell_file.cell_file import examine_text
+from dual_ur10.sim2real.cell_file.tables import EmulatedTrackerEntry
 from dual_ur10.sim2real.peripherals.gripper_link import RobotiqLink
-from dual_ur10.sim2real.peripherals.json_link import JsonLink
 from dual_ur10.sim2real.peripherals.object_tracker import CameraTracker, Flanges
 from dual_ur10.sim2real.recording import mcap_records as mcap
 from dual_ur10.sim2real.recording.cdr import HEAD
@@ -52,8 +39,10 @@ from dual_ur10.sim2real.recording.schemas import BEGIN, EVENT, SENT_COLUMNS, SIN
 from dual_ur10.sim2real.trajectory.files import Format, _csv_of, parse_trajectory
 from tests.policies.learned.checkpoints import parts
 from tests.sim2real.recording.runs import header
+from ur_core.errors import LinkError, OperationRefusedError, ProtocolError, ScriptError, SettingsError, UnknownNameError
 from ur_core.kinematics.ur10 import NOMINAL_DH
 from ur_core.links.dashboard_link import DashboardLink
+from ur_core.links.json_link import JsonLink
 from ur_core.links.primary_link import _Reader
 from ur_core.links.rtde_link import RtdeLink
 from ur_core.links.rtde_stream import RtdeStream
@@ -62,19 +51,19 @@ from ur_core.protocol.primary_messages import error_code_message, popup_message,
 from ur_core.protocol.primary_packet import PrimaryPacket
 from ur_core.protocol.rtde import TYPES, FrameReader
 from ur_core.protocol.text_lines import LineReader
-from ur_emulator.arm_server import ArmServer, DashboardPeer, LinePeer
-from ur_emulator.builtins import builtins_of
-from ur_emulator.controller import ArmReading, Controller
-from ur_emulator.dashboard import Dashboard
-from ur_emulator.fault_injection import FaultInjection
-from ur_emulator.link_faults import LinkFaults
-from ur_emulator.pendant import Pendant
-from ur_emulator.profile import PROFILES
-from ur_emulator.realtime_packet import RealtimePacket
-from ur_emulator.registers import Registers
-from ur_emulator.robotiq import RobotiqGripper
-from ur_emulator.rtde_session import RtdePort
-from ur_emulator.rtde_variables import zero_values
+from ur_emulator.builtins.table import builtins_of
+from ur_emulator.controller.controller import ArmReading, Controller
+from ur_emulator.controller.pendant import Pendant
+from ur_emulator.controller.profile import PROFILES
+from ur_emulator.controller.registers import Registers
+from ur_emulator.injection.fault_injection import FaultInjection
+from ur_emulator.injection.link_faults import LinkFaults
+from ur_emulator.ports.arm_server import ArmServer, DashboardPeer, LinePeer
+from ur_emulator.ports.dashboard import Dashboard
+from ur_emulator.ports.realtime_packet import RealtimePacket
+from ur_emulator.ports.robotiq import RobotiqGripper
+from ur_emulator.ports.rtde_session import RtdePort
+from ur_emulator.ports.rtde_variables import zero_values
 from ur_emulator.script import Machine, Splitter, library
 from ur_emulator.script.compiled import _read
 from ur_emulator.script.machine import _FAULTS

@@ -20,11 +20,11 @@ import numpy as np
 import pytest
 
 from dual_ur10.envs.core.setup import EnvSetup
-from dual_ur10.errors import KernelError
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import Envelope, MotionLimits
 from tests.sim2real.control.motion_checks import AlwaysClear
 from ur_core import kernel, kinematics
+from ur_core.errors import KernelError
 from ur_core.kernel import Constants, Struct
 from ur_core.kinematics.ur10 import NOMINAL_DH
 
@@ -120,9 +120,7 @@ def test_every_function_of_arrays_declares_their_sizes() -> None:
 
 def test_no_array_of_a_structure_is_replaced() -> None:
     """The kernel would go on with the former one. Whoever replaces an array makes the structure anew."""
-    for path in sorted(
-        [*(ROOT / "dual_ur10").rglob("*.py"), *(ROOT / "ur_emulator").rglob("*.py"), *CORE.rglob("*.py")]
-    ):
+    for path in sorted([*(ROOT / "dual_ur10").rglob("*.py"), *(ROOT / "packages").rglob("*.py")]):
         source = path.read_text()
         if "Struct(" not in source:
             continue

@@ -16,7 +16,7 @@ _FORKED = """
 import os, psutil, signal, sys
 import numpy as np
 from dual_ur10.envs.api.vector_env import DualArmVectorEnv
-from dual_ur10.errors import ClosedError
+from ur_core.errors import ClosedError
 from tests.kernel.test_threads import Distances
 
 def begun(threads):

@@ -6,9 +6,9 @@ import time
 
 import pytest
 
+from dual_ur10.emulated.emulated_cell import EmulatedCell
 from dual_ur10.sim2real.runtime.arm_memory import Phase
 from tests.sim2real.runtime.pair import Pair, assert_rests_on_path, assert_stops_both
-from ur_emulator.emulated_cell import EmulatedCell
 
 pytestmark = pytest.mark.streams
 

@@ -5,8 +5,8 @@ import re
 from typer.testing import CliRunner
 
 from dual_ur10.cli import main as cli
+from dual_ur10.emulated.emulated_cell import EmulatedCell
 from dual_ur10.sim2real.commissioning import doctor
-from ur_emulator.emulated_cell import EmulatedCell
 
 
 def test_a_cell_file_states_what_is_expected(tmp_path, monkeypatch):

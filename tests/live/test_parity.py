@@ -4,9 +4,9 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from dual_ur10.emulated.emulated_cell import EmulatedCell
 from tests import soak
 from tests.parity import TASK, simulated
-from ur_emulator.emulated_cell import EmulatedCell
 
 pytestmark = pytest.mark.streams
 

@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
+from dual_ur10.emulated.cell_emulator import CellEmulator, CellOptions
 from dual_ur10.testing import VirtualCell
-from ur_emulator.emulator import Emulator, EmulatorOptions
 from ur_emulator.virtual.control import ScriptControl
 
 pytestmark = pytest.mark.emulated
@@ -57,7 +57,7 @@ def noted(controller):
 
 @pytest.mark.parametrize("family", ["cb3", "e-series"])
 def test_it_writes_what_ur_rtde_writes(family):
-    emulator = Emulator(EmulatorOptions(family=family, plant="nominal"))
+    emulator = CellEmulator(CellOptions(family=family, plant="nominal"))
     controller = emulator.servers[0].controller
     q_rad = [float(each) for each in emulator.world.start_q_rad[0]]
     expected = noted(controller)

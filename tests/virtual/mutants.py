@@ -115,7 +115,7 @@ MUTANTS = (
 def copy(root: Path, target: Path) -> None:
     """Copy the packages and their tests."""
     ignored = shutil.ignore_patterns("__pycache__")
-    for name in ("dual_ur10", "ur_emulator", "packages", "tests"):
+    for name in ("dual_ur10", "packages", "tests"):
         shutil.copytree(root / name, target / name, ignore=ignored)
     shutil.copy(root / "pyproject.toml", target)
 
@@ -169,7 +169,10 @@ def check(number: int, most: int) -> tuple[int, str]:
         command = [sys.executable, "-m", "tests.virtual.mutants", "--hunt", str(number), "--seeds", str(most)]
         if mutant.test:
             command = [sys.executable, "-m", "pytest", "-x", f"tests/virtual/faults/{mutant.test}"]
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (target, target / "packages" / "ur-core")))}
+        environment = {
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join(map(str, (target, *(target / "packages").iterdir()))),
+        }
         found = subprocess.run(
             command, cwd=target, env=environment, capture_output=True, text=True, timeout=_LIMIT_S, check=False
         )

@@ -14,7 +14,7 @@ from dual_ur10.testing import VirtualCell
 from tests.policies.operators.hands import operator_of
 from tests.policies.operators.rigs import RawMouse
 from ur_core.kinematics.robot_model import TICK_S
-from ur_emulator.controller import Controller
+from ur_emulator.controller.controller import Controller
 
 KEYWORDS = {"action_mode": "tcp_delta", "policy_rate_hz": 125.0}
 LEAST_TICKS = {family: least_latency_ticks(tick_s) for family, tick_s in TICK_S.items()}

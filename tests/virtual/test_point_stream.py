@@ -12,14 +12,11 @@ from dual_ur10.cli import follow as follow_command
 from dual_ur10.errors import CellFaulted, RecordingError, StartError, TrajectoryError
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.control.link_profiles import profile_for
-from dual_ur10.sim2real.recording.black_box import BlackBox
-from dual_ur10.sim2real.recording.program_box import ProgramBox
-from dual_ur10.sim2real.recording.reader import read_run
-from dual_ur10.sim2real.runtime import program_link
-from dual_ur10.sim2real.runtime.latch import Latch
-from dual_ur10.sim2real.runtime.point_stream import PointStream
-from dual_ur10.sim2real.runtime.program_link import stop_programs
-from dual_ur10.sim2real.runtime.stream_script import (
+from dual_ur10.sim2real.programs import program_link
+from dual_ur10.sim2real.programs.point_stream import PointStream
+from dual_ur10.sim2real.programs.program_box import ProgramBox
+from dual_ur10.sim2real.programs.program_link import stop_programs
+from dual_ur10.sim2real.programs.stream_script import (
     REASONS,
     STATE,
     WAIT_S,
@@ -28,6 +25,9 @@ from dual_ur10.sim2real.runtime.stream_script import (
     moves_script,
     points_script,
 )
+from dual_ur10.sim2real.recording.black_box import BlackBox
+from dual_ur10.sim2real.recording.reader import read_run
+from dual_ur10.sim2real.runtime.latch import Latch
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
 from dual_ur10.sim2real.trajectory.point_path import PointPath
 from dual_ur10.testing import VirtualCell

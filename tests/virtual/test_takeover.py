@@ -12,7 +12,7 @@ from dual_ur10.testing import VirtualCell
 from tests.policies.operators.hands import Hand, operator_of, twist
 from ur_core.kinematics import flange_pose
 from ur_core.kinematics.robot_model import TICK_S
-from ur_emulator.controller import Controller
+from ur_emulator.controller.controller import Controller
 
 RATE_HZ = 125.0
 KEYWORDS = {

@@ -6,13 +6,13 @@ import pytest
 from dual_ur10.cli import teach as teach_command
 from dual_ur10.errors import CellFaulted, StartError, TrajectoryError
 from dual_ur10.follower import home_of, make_follower
-from dual_ur10.sim2real.config.cell_file import CellFile
+from dual_ur10.sim2real.cell_file.cell_file import CellFile
+from dual_ur10.sim2real.programs import program_link
+from dual_ur10.sim2real.programs.program_link import stop_programs
+from dual_ur10.sim2real.programs.stream_script import STATE, Command, State
 from dual_ur10.sim2real.recording.reader import read_run
-from dual_ur10.sim2real.runtime import program_link
-from dual_ur10.sim2real.runtime.hand_guiding import SILENCE_S, HandGuiding, freedrive_script
-from dual_ur10.sim2real.runtime.program_link import stop_programs
-from dual_ur10.sim2real.runtime.stream_script import STATE, Command, State
-from dual_ur10.sim2real.runtime.teaching import STEP_RAD, Key
+from dual_ur10.sim2real.teaching.hand_guiding import SILENCE_S, HandGuiding, freedrive_script
+from dual_ur10.sim2real.teaching.teaching import STEP_RAD, Key
 from dual_ur10.sim2real.trajectory import TrajectoryGoal, read_trajectory
 from dual_ur10.sim2real.trajectory.path_timing import BLEND_RAD, time_path
 from dual_ur10.testing import VirtualCell

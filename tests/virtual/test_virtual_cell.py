@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 import dual_ur10  # noqa: F401  # registers the environments
+from dual_ur10.emulated.cell_emulator import CellEmulator
 from dual_ur10.errors import CellFaulted, SettingsError, UnknownNameError, VirtualCellError
 from dual_ur10.policies import load
 from dual_ur10.testing import VirtualCell, check_policy
 from tests import rollout_hashes
 from tests.cli.command import run
 from ur_core.processes.system import System
-from ur_emulator.emulator import Emulator
 
 
 def episode(steps=30, fault=None, observation="state", **options):
@@ -129,14 +129,14 @@ VirtualCell()"""
 
 
 def test_ctrl_c_while_a_controller_computes_ends_a_rollout_without_an_alarm(monkeypatch):
-    tick = Emulator.tick
+    tick = CellEmulator.tick
 
     def interrupted(self):
         if self.ticks == 400:  # both arms move
             signal.raise_signal(signal.SIGINT)
         tick(self)
 
-    monkeypatch.setattr(Emulator, "tick", interrupted)
+    monkeypatch.setattr(CellEmulator, "tick", interrupted)
     code, text = run("rollout", "SineTracking", "--cell", "virtual", "-n", "1", "--no-record")
     assert (code, text) == (130, "interrupted: both arms have stopped\n")
 

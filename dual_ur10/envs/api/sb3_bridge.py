@@ -14,7 +14,7 @@ from dual_ur10.envs.api.vector_env import DualArmVectorEnv
 from dual_ur10.envs.core.options import EnvOptions, check_count
 from dual_ur10.envs.core.setup import check_for_controllers
 from dual_ur10.errors import ActionError, MissingExtraError, SettingsError
-from dual_ur10.sim2real.config.named_cell import resolve_cell
+from dual_ur10.sim2real.cell.named_cell import resolve_cell
 from ur_core.types import Array
 
 try:

@@ -1,4 +1,4 @@
 """The stepping core of all environments: set-up from keywords, the loop, sensing and randomization.
 
-Imports `envs.tasks`, `envs.sim` and `sim2real`. Every interface in `envs.api` is a view of its `Core`.
+Every interface in `envs.api` is a view of its `Core`. A cell of controllers is loaded by its name, never imported.
 """

@@ -8,7 +8,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from dual_ur10.envs.core.setup import EnvSetup
-from dual_ur10.sim2real.config.cell import CellRequest, CellState, CellStep
+from dual_ur10.sim2real.cell.cell import CellRequest, CellState, CellStep
 from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.control.clearance import Clearance
 from ur_core.types import Array, Mask

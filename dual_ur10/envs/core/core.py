@@ -30,8 +30,8 @@ from dual_ur10.errors import (
     ResetNeededError,
     TaskError,
 )
-from dual_ur10.sim2real.config.cell import Cell, CellConfig, CellState, CellStep
-from dual_ur10.sim2real.config.cell_kinds import make_cell
+from dual_ur10.sim2real.cell.cell import Cell, CellConfig, CellState, CellStep
+from dual_ur10.sim2real.cell.cell_kinds import make_cell
 from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate, Verdict
@@ -547,7 +547,7 @@ class Core:
         return self._open().model_and_data(row)
 
     def copy_state(self, row: int, model: Any, data: Any) -> None:
-        """Copy the state of one cell to another model of its scene; see `dual_ur10.sim2real.config.cell.Cell`."""
+        """Copy the state of one cell to another model of its scene; see `dual_ur10.sim2real.cell.cell.Cell`."""
         self._open().copy_state(row, model, data)
 
     def _advance(self, cell: Cell, command: Command) -> CellStep:

@@ -12,7 +12,7 @@ from typing import Any, Final, Literal, get_args
 import numpy as np
 
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.sim2real.config.cell import CellConfig
+from dual_ur10.sim2real.cell.cell import CellConfig
 from dual_ur10.sim2real.control.adapter import ActionMode, ActionScale, scale_of_steps
 from dual_ur10.sim2real.control.command_queue import checked_latency
 from ur_core.kinematics.robots import robot_model
@@ -43,7 +43,7 @@ class EnvOptions:
 
     Attributes:
         cell: "mujoco"; "echo", a dry run without physics, whose state is what was commanded; a
-            `dual_ur10.sim2real.config.cell.CellConfig`; or, for two controllers, the path of a cell file or a
+            `dual_ur10.sim2real.cell.cell.CellConfig`; or, for two controllers, the path of a cell file or a
             `dual_ur10.testing.VirtualCell`.
         robot: Model of both arms, such as "ur5e", or of the left and the right one; see
             `ur_core.kinematics.robots.ROBOTS`. A shorter arm stands nearer to the workspace. None: two UR10s, or

@@ -132,7 +132,7 @@ class Randomization:
             objects: Number of objects whose poses are measured.
 
 
-        Values of `dual_ur10.sim2real.config.perturbation.Perturbation` have its names, and are factors or differences
+        Values of `dual_ur10.sim2real.cell.perturbation.Perturbation` have its names, and are factors or differences
         on top of the cell's own. The others are for `dual_ur10.envs.core.sensing.Sensing`.
         """
         # The stream advances equally, whichever numbers are used.

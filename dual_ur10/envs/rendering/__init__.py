@@ -1,4 +1,4 @@
 """Images, pixel observations, the native viewer and the web viewer.
 
-Imports `assets` and `envs.core`; loads MuJoCo's renderer only when an image is rendered.
+MuJoCo's renderer is loaded only when an image is rendered. What moves real arms never waits for an image.
 """

@@ -9,9 +9,9 @@ import numpy as np
 
 from dual_ur10.envs.sim.servo_reference import Motion, ServojReference
 from dual_ur10.errors import ClosedError, SettingsError
-from dual_ur10.sim2real.config.cell import CellConfig, CellRequest, CellState, CellStep, Start, TickTrace
-from dual_ur10.sim2real.config.mirror_model import MirrorModel
-from dual_ur10.sim2real.config.perturbation import Perturbation
+from dual_ur10.sim2real.cell.cell import CellConfig, CellRequest, CellState, CellStep, Start, TickTrace
+from dual_ur10.sim2real.cell.mirror_model import MirrorModel
+from dual_ur10.sim2real.cell.perturbation import Perturbation
 from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.control.command_queue import CommandQueue
 from ur_core.tools.tool import strokes_m

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dual_ur10.assets.settings import SceneSettings
-from dual_ur10.sim2real.config.perturbation import Perturbation
+from dual_ur10.sim2real.cell.perturbation import Perturbation
 from ur_core.kinematics.rotations import quat_from_rotvec, quat_multiply, quat_to_matrix
 from ur_core.kinematics.ur10 import ARMS, LINKS
 from ur_core.types import Array, Rows

@@ -1,5 +1,5 @@
 """Tasks as functions of `CellState`: scene requirements, reset, observation, reward and success.
 
-Imports `kinematics`, `assets` and `sim2real.control`; a task depends on neither simulation nor interface. Each task
-has one folder; `task.py` defines the interface of all tasks.
+A task depends on neither simulation nor interface. Each task has one folder; `task.py` defines the interface of all
+tasks.
 """

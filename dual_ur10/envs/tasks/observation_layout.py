@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.errors import ActionError, SettingsError, UnknownNameError
-from dual_ur10.sim2real.config.cell import CellState
+from dual_ur10.sim2real.cell.cell import CellState
 from ur_core.kinematics.poses import Poses
 from ur_core.types import Array, Single, constant
 

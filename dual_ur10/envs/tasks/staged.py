@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from dual_ur10.envs.tasks.geometry import Number
 from dual_ur10.envs.tasks.task import MeasuredT, Outcome, SettingsT, Task, Timing
 from dual_ur10.errors import SettingsError
-from dual_ur10.sim2real.config.cell import CellConfig, CellState
+from dual_ur10.sim2real.cell.cell import CellConfig, CellState
 from ur_core.types import Array, Mask, Rows
 
 NowT = TypeVar("NowT")

@@ -1,4 +1,4 @@
 """Rollouts, evaluation over seeded episodes, its statistics, the check of a policy, and export to Minari.
 
-Imports `envs` and `policies.{scripted, learned}`.
+It trains nothing, and never looks into a policy.
 """

@@ -1,4 +1,4 @@
 """Learned policies: checkpoints that run no code, the environment signature they carry, and conversion from SB3.
 
-Imports `envs`. Loads torch and SB3 for the conversion only.
+torch and SB3 are loaded for the conversion only. A checkpoint never names code.
 """

@@ -1,1 +1,1 @@
-"""Operators: persons who lead both arms with input devices, as policies."""
+"""Operators: persons who lead both arms with input devices, as policies, and their session in a live page."""

@@ -1,4 +1,4 @@
 """Training by imitation and by reinforcement, with data sets, progress and resumable training folders.
 
-Imports `envs` and the other packages of `policies`. Loads torch and Stable-Baselines3.
+The only room that needs torch and Stable-Baselines3. Nothing that acts in an episode is here.
 """

@@ -21,7 +21,7 @@ from dual_ur10.policies.learned.network import Activation
 from dual_ur10.policies.learned.schema import StrictJson
 from dual_ur10.policies.learned.signature import view_of
 from dual_ur10.policies.operators.catalog import device_class
-from dual_ur10.sim2real.config.named_cell import resolve_cell
+from dual_ur10.sim2real.cell.named_cell import resolve_cell
 from ur_core.objects import load_object
 
 Algorithm = Literal["ppo", "sac", "bc", "dagger"]

@@ -15,9 +15,9 @@ from dual_ur10.sim2real.analysis.fit import ArmFit
 from dual_ur10.sim2real.calibration.directions import LEVER_M
 from dual_ur10.sim2real.calibration.estimate import EXCHANGED, FAR_M, FAR_RAD, BaseEstimate
 from dual_ur10.sim2real.calibration.transforms import right_in_left
-from dual_ur10.sim2real.config.cell_file import CellFile, examine_text, load_cell_file
-from dual_ur10.sim2real.config.cell_file_reference import write_new
-from dual_ur10.sim2real.config.cell_file_tables import MAX_LATENCY_S, ZERO, BaseToBase, Calibration, Measured
+from dual_ur10.sim2real.cell_file.cell_file import CellFile, examine_text, load_cell_file
+from dual_ur10.sim2real.cell_file.reference import write_new
+from dual_ur10.sim2real.cell_file.tables import MAX_LATENCY_S, ZERO, BaseToBase, Calibration, Measured
 from dual_ur10.sim2real.recording.run import Header
 from ur_core.files import check_target, write_text
 from ur_core.kinematics.frames import ArmMount

@@ -4,6 +4,5 @@ Observations and their file, the estimator, suggestions of the next observation,
 kinematics of Universal Robots' calibration files. All poses are in the left arm's own `base` frame, the one that its
 pendant shows, unless a name says otherwise.
 
-Nothing here moves an arm or writes a cell file; `recording` reads joint angles. Imports `kinematics`, `config` and
-`links`. Imported by `analysis`, which writes results into cell files, and by `cli`.
+Nothing here moves an arm or writes a cell file; `recording` reads joint angles.
 """

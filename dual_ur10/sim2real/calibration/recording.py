@@ -9,11 +9,11 @@ import numpy as np
 from dual_ur10.errors import CalibrationError, EmulatorError, LinkError
 from dual_ur10.sim2real.calibration.observations import JointAngles, Noise, Touch
 from dual_ur10.sim2real.calibration.transforms import flange, inverse_of, transform
-from dual_ur10.sim2real.config.cell_file import CellFile
-from dual_ur10.sim2real.peripherals.json_link import JsonLink
+from dual_ur10.sim2real.cell_file.cell_file import CellFile
 from ur_core.kinematics.inverse import nearest
 from ur_core.kinematics.rotations import quat_to_matrix
 from ur_core.kinematics.ur10 import ARMS, DHParameters
+from ur_core.links.json_link import JsonLink
 from ur_core.links.rtde_link import RtdeLink
 from ur_core.processes.system import LOCAL, System
 from ur_core.types import Array

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from dual_ur10.errors import LinkError, SettingsError
+from dual_ur10.sim2real.cell_file.cell_file import CellFile
 from dual_ur10.sim2real.commissioning.findings import (
     NOT_REPORTED,
     ExpectedArm,
@@ -37,7 +38,6 @@ from dual_ur10.sim2real.commissioning.findings import (
     swap_finding,
     tool_findings,
 )
-from dual_ur10.sim2real.config.cell_file import CellFile
 from ur_core.kinematics.robots import ROBOTS
 from ur_core.kinematics.ur10 import ARMS, DHParameters
 from ur_core.links import dashboard_link, primary_link, rtde_link

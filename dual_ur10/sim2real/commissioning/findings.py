@@ -9,7 +9,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from dual_ur10.errors import LinkError, SettingsError, UnknownNameError
-from dual_ur10.sim2real.config.cell_file_tables import ArmEntry
+from dual_ur10.sim2real.cell_file.tables import ArmEntry
 from dual_ur10.sim2real.control.time_scaling import FULL
 from ur_core.kinematics import flange_pose
 from ur_core.kinematics.robots import MODEL_OF_FAMILY, ROBOTS, RobotModel, robot_model

@@ -7,7 +7,7 @@ import termios
 from collections.abc import Callable
 
 from dual_ur10.errors import StartError
-from dual_ur10.sim2real.config.cell_file import CellFile
+from dual_ur10.sim2real.cell_file.cell_file import CellFile
 
 Confirm = Callable[[str], bool]
 

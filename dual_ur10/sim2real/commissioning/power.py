@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
 from dual_ur10.errors import LinkError, OperationRefusedError
-from dual_ur10.sim2real.config.cell_file import CellFile
+from dual_ur10.sim2real.cell_file.cell_file import CellFile
 from ur_core.kinematics.ur10 import ARMS
 from ur_core.links.dashboard_link import DashboardLink
 from ur_core.processes.clock import Clock

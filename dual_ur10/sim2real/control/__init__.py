@@ -1,5 +1,4 @@
 """From an action to released servoj targets: servoj law, path, limits, adapter, clearance and safety gate.
 
-Pure functions of their inputs: no clock, no I/O. Imports `kinematics` and `assets`; imported by all code that moves
-arms, simulated or real.
+Pure functions of their inputs: no clock, no I/O. All motion of arms, simulated or real, goes through it.
 """

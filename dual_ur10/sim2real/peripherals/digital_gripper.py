@@ -9,7 +9,7 @@ from __future__ import annotations
 from contextlib import ExitStack
 from typing import Final
 
-from dual_ur10.sim2real.config.cell_file_tables import DigitalGripper
+from dual_ur10.sim2real.cell_file.tables import DigitalGripper
 from dual_ur10.sim2real.peripherals.gripper_link import GripperLink, GripperReading
 from ur_core.links.link_socket import check_timeout
 from ur_core.links.rtde_link import PORT, RtdeClient, RtdeLink

@@ -93,7 +93,7 @@ class GripperLink(Closing):
         drives: Least and most of figures of the tools that it can drive, by their names: `stroke_m`, `speed_m_s` and
             `force_n`. Other tools are refused before anything moves.
         emulated: Emulated gripper for emulated and virtual cells, "module:Class" of an
-            `ur_emulator.grippers.EmulatedGripper`; "": there is none.
+            `ur_emulator.ports.grippers.EmulatedGripper`; "": there is none.
         tool: The gripper.
     """
 

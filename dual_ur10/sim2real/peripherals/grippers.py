@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final, TypeVar
 
 from dual_ur10.errors import ActionError, ClosedError, DualUR10Error, LinkError, OperationRefusedError, SettingsError
-from dual_ur10.sim2real.config.cell_file import CellFile
-from dual_ur10.sim2real.config.cell_file_tables import ArmEntry, DigitalGripper, OwnGripper, RobotiqSocket, keywords_of
+from dual_ur10.sim2real.cell_file.cell_file import CellFile
+from dual_ur10.sim2real.cell_file.tables import ArmEntry, DigitalGripper, OwnGripper, RobotiqSocket, keywords_of
 from dual_ur10.sim2real.peripherals.digital_gripper import DigitalGripperLink
 from dual_ur10.sim2real.peripherals.gripper_link import (
     CheckedGripper,

@@ -23,8 +23,8 @@ from dual_ur10.errors import (
     OperationRefusedError,
     SettingsError,
 )
-from dual_ur10.sim2real.config.cell_file import CellFile
-from dual_ur10.sim2real.config.cell_file_tables import (
+from dual_ur10.sim2real.cell_file.cell_file import CellFile
+from dual_ur10.sim2real.cell_file.tables import (
     AttachedTrackerEntry,
     EmulatedTrackerEntry,
     GivenTrackerEntry,
@@ -32,10 +32,10 @@ from dual_ur10.sim2real.config.cell_file_tables import (
     Tracker,
     keywords_of,
 )
-from dual_ur10.sim2real.peripherals.json_link import JsonLink
 from ur_core.kinematics.poses import Poses, compose
 from ur_core.kinematics.rotations import quat_from_rotvec
 from ur_core.kinematics.ur10 import ARMS
+from ur_core.links.json_link import JsonLink
 from ur_core.objects import load_object
 from ur_core.processes.system import LOCAL, System
 from ur_core.types import Array, Closing, Vector3

@@ -1,4 +1,5 @@
 """Records of runs: MCAP writer and reader, the recorder process, and the black box.
 
-Imports `sim2real.{config, control, runtime}`. Environments load it only where there is something to record.
+Environments load it only where there is something to record. What moves arms never waits for a disk. The bytes that
+`encoding` writes are a promise: a change of them changes `FORMAT` in `header`.
 """

@@ -8,7 +8,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from dual_ur10.sim2real.config.cell import CellState, CellStep
+from dual_ur10.sim2real.cell.cell import CellState, CellStep
 from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.recording.header import plain
 from dual_ur10.sim2real.recording.rows import BeginRow, RunRecorder, StepRow

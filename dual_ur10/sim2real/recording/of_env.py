@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, cast
 
 from dual_ur10.errors import SettingsError
-from dual_ur10.sim2real.config.cell import Cell, CellRequest
+from dual_ur10.sim2real.cell.cell import Cell, CellRequest
 from dual_ur10.sim2real.recording.header import describe
 from dual_ur10.sim2real.recording.hook import RecordHook
 from dual_ur10.sim2real.recording.run_folder import new_folder, prepare

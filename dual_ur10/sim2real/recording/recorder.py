@@ -27,7 +27,7 @@ from ur_core.processes.interrupts import interrupts_deferred
 from ur_core.processes.system import LOCAL, Process, System
 
 if TYPE_CHECKING:
-    from dual_ur10.sim2real.config.cell import TickTrace
+    from dual_ur10.sim2real.cell.cell import TickTrace
 
 _LOG: Final = logging.getLogger(__name__)
 

@@ -12,7 +12,7 @@ from dual_ur10.sim2real.recording.schemas import BEGIN, STEP
 from ur_core.types import Array, Mask
 
 if TYPE_CHECKING:
-    from dual_ur10.sim2real.config.cell import TickTrace
+    from dual_ur10.sim2real.cell.cell import TickTrace
 
 _NOTHING: Array = np.zeros(0)
 

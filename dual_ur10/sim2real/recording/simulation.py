@@ -20,7 +20,7 @@ from ur_core.kinematics.rotations import quat_to_rotvec
 from ur_core.processes.interrupts import interrupts_deferred
 
 if TYPE_CHECKING:
-    from dual_ur10.sim2real.config.cell import TickTrace
+    from dual_ur10.sim2real.cell.cell import TickTrace
 
 _ROW: Final = sum(size for _, size in SIMULATED_COLUMNS)
 

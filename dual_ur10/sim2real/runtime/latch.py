@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import IO, Final
 
 from dual_ur10.errors import CellBusyError, CellFaulted, SettingsError
-from dual_ur10.sim2real.config.cell_file import CellFile
+from dual_ur10.sim2real.cell_file.cell_file import CellFile
 from ur_core.files import sync_folder
 from ur_core.kinematics.ur10 import ARMS
 from ur_core.processes.system import LOCAL, System

@@ -17,10 +17,10 @@ from typing import Any, Final, NoReturn
 import numpy as np
 
 from dual_ur10.errors import ClosedError, DualUR10Error, LinkError, SettingsError, StartError
+from dual_ur10.sim2real.cell.cell import CellConfig, CellRequest, CellState, CellStep, Start
+from dual_ur10.sim2real.cell.mirror_model import MirrorModel
+from dual_ur10.sim2real.cell_file.cell_file import CellFile
 from dual_ur10.sim2real.commissioning.operator_prompts import Confirm, prompt_for
-from dual_ur10.sim2real.config.cell import CellConfig, CellRequest, CellState, CellStep, Start
-from dual_ur10.sim2real.config.cell_file import CellFile
-from dual_ur10.sim2real.config.mirror_model import MirrorModel
 from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.command_queue import MAX_LATENCY_TICKS

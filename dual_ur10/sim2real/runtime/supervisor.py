@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from dual_ur10.errors import LinkError, SettingsError
-from dual_ur10.sim2real.config.cell_file import CellFile
+from dual_ur10.sim2real.cell_file.cell_file import CellFile
 from dual_ur10.sim2real.control.time_scaling import scaling_from_slider
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_sender import STALE_S, WAITING_S, of_arm, root_cause

@@ -1,7 +1,7 @@
 """Joint trajectories of one arm or both, and goals that follow them.
 
-Trajectories, interpolation, timing, reduction, files, and the executor of goals on any `Cell`. Imports `control` and
-`config`, and no clock or connection. Imported by `runtime`, `envs` and `cli`.
+Trajectories, interpolation, timing, reduction, files, and the executor of goals on any `Cell`. It
+opens no connection.
 """
 
 from __future__ import annotations

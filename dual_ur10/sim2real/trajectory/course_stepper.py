@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from dual_ur10.errors import DualUR10Error
-from dual_ur10.sim2real.config.cell import Cell, CellStep, Start
+from dual_ur10.sim2real.cell.cell import Cell, CellStep, Start
 from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import HISTORY

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from dual_ur10.errors import ClosedError, SettingsError, StartError, TrajectoryError
-from dual_ur10.sim2real.config.cell import Cell
+from dual_ur10.sim2real.cell.cell import Cell
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import HISTORY

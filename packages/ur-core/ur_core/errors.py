@@ -95,13 +95,22 @@ class MissingExtraError(URError, ImportError):
         extra: Extra that brings it.
         purpose: Noun for what needs it.
         others: Errors of other packages, which are part of this one.
+        distribution: Distribution that has the extra.
 
     Attributes:
         needs: Texts of what needs which package.
-        extras: Names of the extras.
+        extras: Names of the extras by their distribution.
     """
 
-    def __init__(self, package: str, extra: str, purpose: str, others: Sequence[MissingExtraError] = ()) -> None:
+    def __init__(
+        self,
+        package: str,
+        extra: str,
+        purpose: str,
+        others: Sequence[MissingExtraError] = (),
+        *,
+        distribution: str = "dual-ur10",
+    ) -> None:
         python = sys.version_info[:2]
         where = (
             f", which has wheels for Python 3.11 and 3.12 only, found {python[0]}.{python[1]}. There"
@@ -112,8 +121,29 @@ class MissingExtraError(URError, ImportError):
             *(need for each in others for need in each.needs),
             f"{purpose} needs {package}{where}",
         )
-        self.extras: tuple[str, ...] = tuple(dict.fromkeys((*(name for each in others for name in each.extras), extra)))
-        super().__init__(f'{", and ".join(self.needs)}: pip install "dual-ur10[{",".join(self.extras)}]"')
+        self.extras: dict[str, tuple[str, ...]] = {}
+        found = [pair for each in others for pair in each.extras.items()]
+        for name, extras in (*found, (distribution, (extra,))):
+            self.extras[name] = tuple(dict.fromkeys((*self.extras.get(name, ()), *extras)))
+        wanted = " ".join(f'"{name}[{",".join(extras)}]"' for name, extras in self.extras.items())
+        super().__init__(f"{', and '.join(self.needs)}: pip install {wanted}")
+
+
+class MixedVersionsError(URError, ImportError):
+    """Raised when distributions of different versions are installed together.
+
+    Args:
+        distribution: Distribution that is imported.
+        version: Its version.
+        needed: Distribution that it needs, in the same version.
+        found: Version of that one.
+    """
+
+    def __init__(self, distribution: str, version: str, needed: str, found: str) -> None:
+        super().__init__(
+            f"{distribution} {version} needs {needed} {version}, found {found}: "
+            f'pip install "{distribution}=={version}" "{needed}=={version}"'
+        )
 
 
 class RenderError(URError, RuntimeError):
@@ -164,6 +194,18 @@ class AddressError(URError, OSError):
 
 class LinkError(URError, ConnectionError):
     """Raised when a controller, gripper or tracker cannot be reached, gives a wrong answer, or has fallen silent."""
+
+
+class MotionError(URError, ValueError):
+    """Raised when the arguments of a motion command are invalid: a wrong length, NaN, a negative time."""
+
+
+class EmulatorError(URError, RuntimeError):
+    """Raised when an emulated cell did not start, or has ended."""
+
+
+class VirtualCellError(URError, RuntimeError):
+    """Raised when a virtual cell is asked for what only real processes show, or when none of its actors goes on."""
 
 
 class KernelError(URError, RuntimeError):

@@ -16,8 +16,8 @@ import dual_ur10
 from dual_ur10 import errors, policies
 from dual_ur10.envs import dm_env, parallel_env
 from dual_ur10.envs.core.setup import load_task
-from dual_ur10.sim2real.config.cell import CellConfig
-from dual_ur10.sim2real.config.perturbation import Perturbation
+from dual_ur10.sim2real.cell.cell import CellConfig
+from dual_ur10.sim2real.cell.perturbation import Perturbation
 from tests import rollout_hashes
 from tests.soak import scaled
 from ur_core.kinematics import flange_pose
@@ -98,9 +98,8 @@ def test_a_simulation_loads_no_opengl_and_no_code_of_real_arms():
     own = [name for name in loaded if name.split(".")[0] in ("dual_ur10", "ur_core", "ur_emulator")]
     assert len(own) <= 105
     rooms = {name.split(".")[2] for name in own if name.startswith("dual_ur10.sim2real.")}
-    assert rooms == {"config", "control"}
+    assert rooms == {"cell", "control"}
     assert not {"ur_core.links", "ur_core.protocol", "ur_emulator"} & loaded
-    assert not [name for name in own if name.startswith("dual_ur10.sim2real.config.cell_file")]
 
 
 @pytest.mark.parametrize("env_id", IDS)

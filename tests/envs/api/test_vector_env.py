@@ -7,8 +7,8 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from dual_ur10 import errors, policies
-from dual_ur10.sim2real.config.cell import CellConfig
-from dual_ur10.sim2real.config.perturbation import Perturbation
+from dual_ur10.sim2real.cell.cell import CellConfig
+from dual_ur10.sim2real.cell.perturbation import Perturbation
 
 SINE = "DualUR10/SineTracking-v0"
 WILD = CellConfig(perturbation=Perturbation(jitter_s=0.004, loss=0.05, latency_s=0.002, mass_scale=1.03))

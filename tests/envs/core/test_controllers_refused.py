@@ -19,8 +19,8 @@ from dual_ur10.errors import ResetNeededError, ResetRefusedError, SettingsError,
 from dual_ur10.policies.baselines import ZeroPolicy
 from dual_ur10.policies.evaluation import evaluate as evaluation
 from dual_ur10.policies.evaluation.rollout import rollout
-from dual_ur10.sim2real.config.cell_file import load_cell_file
-from dual_ur10.sim2real.config.cell_file_reference import starting_text
+from dual_ur10.sim2real.cell_file.cell_file import load_cell_file
+from dual_ur10.sim2real.cell_file.reference import starting_text
 from dual_ur10.sim2real.runtime.rtde_cell import RtdeCell
 from ur_core.mjcf.gains import COMPLIANT
 

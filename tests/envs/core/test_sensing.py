@@ -6,7 +6,7 @@ from dual_ur10.assets.props import BAR
 from dual_ur10.assets.settings import Equipment
 from dual_ur10.envs.core.randomization import Randomization
 from dual_ur10.envs.core.sensing import Sensing
-from dual_ur10.sim2real.config.cell import CellState
+from dual_ur10.sim2real.cell.cell import CellState
 from ur_core.kinematics.frames import Frames
 from ur_core.kinematics.poses import Poses
 from ur_core.kinematics.rotations import quat_from_rotvec, quat_multiply, quat_to_rotvec

@@ -11,7 +11,7 @@ from dual_ur10 import CellConfig, policies
 from dual_ur10.envs.core.options import OPTION_NAMES
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.errors import SettingsError, UnknownKeywordError, UnknownNameError
-from dual_ur10.sim2real.config.perturbation import Perturbation
+from dual_ur10.sim2real.cell.perturbation import Perturbation
 
 KEYWORDS = {
     "policy_rate_hz": 12.5,

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from dual_ur10 import ArmMount
 from dual_ur10.envs.tasks.geometry import TOOL, FrameDistances, Goal, GoalSteps, Grasps, frame_of
 from dual_ur10.errors import SettingsError
-from dual_ur10.sim2real.config.cell import CellState
+from dual_ur10.sim2real.cell.cell import CellState
 from ur_core.kinematics import flange_pose_quat
 from ur_core.kinematics.frames import Frames
 from ur_core.kinematics.poses import Poses, compose, relative_to, rotation_angle

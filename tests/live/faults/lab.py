@@ -11,14 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
+from dual_ur10.emulated.emulated_cell import EmulatedCell
 from dual_ur10.errors import DualUR10Error
-from dual_ur10.sim2real.config.cell_file import load_cell_file
+from dual_ur10.sim2real.cell_file.cell_file import load_cell_file
 from dual_ur10.sim2real.runtime.arm_sender import STALE_S
 from dual_ur10.sim2real.runtime.latch import Latch
 from tests.live.faults.wire import SPARE_TICKS, Wire
 from tests.virtual.faults.lab import ARMS, PROGRAM, FaultLab
 from ur_core.processes.system import LOCAL
-from ur_emulator.emulated_cell import EmulatedCell
 
 
 class Lab(FaultLab):

@@ -15,7 +15,7 @@ from dual_ur10.errors import ActionError, DatasetError, SettingsError
 from dual_ur10.policies import evaluate
 from dual_ur10.policies.learned.signature import view_of
 from dual_ur10.policies.training.dataset import collect, read_dataset
-from dual_ur10.sim2real.config.cell_file_reference import starting_text
+from dual_ur10.sim2real.cell_file.reference import starting_text
 
 minari = pytest.importorskip("minari")
 h5py = pytest.importorskip("h5py")

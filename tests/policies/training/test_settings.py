@@ -20,7 +20,7 @@ from dual_ur10.policies.training.settings import (
     first_seed_of,
     task_settings,
 )
-from dual_ur10.sim2real.config.cell_file_reference import starting_text
+from dual_ur10.sim2real.cell_file.reference import starting_text
 from tests.policies.training.small import small
 
 GENERAL_STEPS = {"ppo": 1_000_000, "sac": 300_000, "bc": 96_000, "dagger": 288_000}

@@ -16,8 +16,8 @@ from dual_ur10.cli import records
 from dual_ur10.errors import CellFileError, RecordingError
 from dual_ur10.sim2real.analysis.cell_update import write_back
 from dual_ur10.sim2real.analysis.fit import ArmFit, Estimate, fit, remark, respond
-from dual_ur10.sim2real.config.cell_file import load_cell_file
-from dual_ur10.sim2real.config.cell_file_tables import Measured
+from dual_ur10.sim2real.cell_file.cell_file import load_cell_file
+from dual_ur10.sim2real.cell_file.tables import Measured
 from tests.sim2real.analysis.made import header, motion, run, with_arm
 from tests.soak import scaled
 from ur_core.servoj import ServojLaw
@@ -229,7 +229,7 @@ def test_what_must_not_be_written_is_refused(tmp_path: Path, head: Any, found: A
 
 def test_a_run_of_other_robots_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "lab.toml"
-    from dual_ur10.sim2real.config.cell_file_reference import starting_text
+    from dual_ur10.sim2real.cell_file.reference import starting_text
 
     path.write_text(starting_text("real", "192.168.1.10", "192.168.1.11"))
     other = starting_text("real", "192.168.1.10", "192.168.1.12")

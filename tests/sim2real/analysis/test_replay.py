@@ -30,7 +30,7 @@ from dual_ur10.sim2real.analysis.fit import fit
 from dual_ur10.sim2real.analysis.reconstruction import check_replayable, generator_of, keywords_of, resets_of
 from dual_ur10.sim2real.analysis.replay import RecordedPolicy, replay
 from dual_ur10.sim2real.analysis.tracks import flange_of
-from dual_ur10.sim2real.config.cell_kinds import CELL_KINDS, CellKind
+from dual_ur10.sim2real.cell.cell_kinds import CELL_KINDS, CellKind
 from dual_ur10.sim2real.recording.header import mounts_of
 from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.recording.run import Run

@@ -20,7 +20,7 @@ from dual_ur10.sim2real.analysis import plots
 from dual_ur10.sim2real.analysis.compare import Comparison, compare
 from dual_ur10.sim2real.analysis.plot_style import figure
 from dual_ur10.sim2real.analysis.report import report, write_report
-from dual_ur10.sim2real.config.cell_file import load_cell_file
+from dual_ur10.sim2real.cell_file.cell_file import load_cell_file
 from tests.sim2real.analysis.made import run, with_arm
 from tests.sim2real.analysis.recorded import record
 

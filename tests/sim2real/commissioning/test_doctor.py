@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from dual_ur10.cli import main as cli
 from dual_ur10.errors import SettingsError, UnknownNameError
+from dual_ur10.sim2real.cell_file.cell_file import CellFile
 from dual_ur10.sim2real.commissioning import doctor
 from dual_ur10.sim2real.commissioning.doctor import REGISTERS, Route
 from dual_ur10.sim2real.commissioning.findings import (
@@ -28,7 +29,6 @@ from dual_ur10.sim2real.commissioning.findings import (
     swap_finding,
     tool_findings,
 )
-from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.testing import VirtualCell
 from tests.sim2real.statuses import status_of
 from ur_core.kinematics.robots import MODEL_OF_FAMILY
@@ -39,7 +39,7 @@ from ur_core.links.rtde_stream import Sample
 from ur_core.processes.system import LOCAL
 from ur_core.protocol.primary_packet import kinematics_checksums
 from ur_core.protocol.rtde import Kind
-from ur_emulator.profile import PROFILES
+from ur_emulator.controller.profile import PROFILES
 
 TIMED = {"RTDE rate", "RTDE jitter", "round trip"}
 

@@ -5,8 +5,8 @@ import threading
 
 import pytest
 
-from dual_ur10.errors import ClosedError, LinkError, OperationRefusedError, SettingsError
-from tests.sim2real.links.fake_servers import DEADLINE_S, serving, until_closed
+from tests.links.fake_servers import DEADLINE_S, serving, until_closed
+from ur_core.errors import ClosedError, LinkError, OperationRefusedError, SettingsError
 from ur_core.links.dashboard_link import FORBIDDEN, DashboardLink
 
 HERE = "127.0.0.1"

@@ -9,16 +9,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dual_ur10.errors import LinkError, ProtocolError, SettingsError
-from tests.sim2real.links.fake_servers import serving, until_closed
+from tests.links.fake_servers import serving, until_closed
 from tests.soak import scaled
+from ur_core.errors import LinkError, ProtocolError, SettingsError
 from ur_core.kinematics.robots import MODEL_OF_FAMILY
 from ur_core.kinematics.ur10 import DH_A_M, DH_ALPHA_RAD, DH_D_M, DHParameters, nominal_dh
 from ur_core.links.primary_link import _Reader, read_primary
 from ur_core.protocol.primary_messages import text_message, version_message
 from ur_core.protocol.primary_packet import PrimaryPacket, kinematics_checksums
-from ur_emulator.profile import PROFILES
-from ur_emulator.rtde_variables import zero_values
+from ur_emulator.controller.profile import PROFILES
+from ur_emulator.ports.rtde_variables import zero_values
 
 HERE = "127.0.0.1"
 PROFILE = PROFILES["cb3"]

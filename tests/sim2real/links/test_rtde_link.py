@@ -11,8 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dual_ur10.errors import ClosedError, LinkError, ProtocolError, SettingsError
-from tests.sim2real.links.fake_servers import (
+from tests.links.fake_servers import (
     ANSWERS,
     DEADLINE_S,
     rtde_data,
@@ -23,6 +22,7 @@ from tests.sim2real.links.fake_servers import (
     until_closed,
 )
 from tests.soak import scaled
+from ur_core.errors import ClosedError, LinkError, ProtocolError, SettingsError
 from ur_core.links.rtde_link import RtdeLink
 from ur_core.links.rtde_stream import RtdeStream
 from ur_core.processes.system import LOCAL

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dual_ur10.errors import ActionError, ClosedError, LinkError, OperationRefusedError, SettingsError
-from dual_ur10.sim2real.config.cell_file_tables import DigitalGripper, NoGripper, OwnGripper
+from dual_ur10.sim2real.cell_file.tables import DigitalGripper, NoGripper, OwnGripper
 from dual_ur10.sim2real.peripherals.digital_gripper import OUTPUTS, DigitalGripperLink
 from dual_ur10.sim2real.peripherals.gripper_link import (
     FAULTS,
@@ -22,7 +22,7 @@ from dual_ur10.sim2real.peripherals.gripper_link import (
 from dual_ur10.sim2real.peripherals.grippers import Grippers, GripperThread, link_to
 from dual_ur10.testing import VirtualCell
 from tests import waiting
-from tests.sim2real.links.fake_servers import exactly, serving, until_closed
+from tests.links.fake_servers import exactly, serving, until_closed
 from ur_core.links.rtde_link import RtdeClient
 from ur_core.protocol.rtde import Kind
 from ur_core.tools.generic_140 import GENERIC_140

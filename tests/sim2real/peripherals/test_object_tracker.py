@@ -9,13 +9,12 @@ import pytest
 from dual_ur10.assets.prop import Prop
 from dual_ur10.assets.props import BAR, BLOCK, TARGET
 from dual_ur10.errors import CellFileError, EmulatorError, LinkError, SettingsError
-from dual_ur10.sim2real.config.cell_file_tables import (
+from dual_ur10.sim2real.cell_file.tables import (
     AttachedTrackerEntry,
     EmulatedTrackerEntry,
     GivenTrackerEntry,
     OwnTrackerEntry,
 )
-from dual_ur10.sim2real.peripherals.json_link import JsonLink
 from dual_ur10.sim2real.peripherals.object_tracker import (
     STALE_S,
     CameraTracker,
@@ -27,8 +26,9 @@ from dual_ur10.sim2real.peripherals.object_tracker import (
 )
 from dual_ur10.testing import VirtualCell
 from tests import waiting
-from tests.sim2real.links.fake_servers import serving
+from tests.links.fake_servers import serving
 from ur_core.kinematics.rotations import quat_from_rotvec, quat_multiply, rotate
+from ur_core.links.json_link import JsonLink
 
 HERE = "127.0.0.1"
 FLANGES = Flanges(

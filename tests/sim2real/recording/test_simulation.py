@@ -14,7 +14,7 @@ import pytest
 import dual_ur10  # noqa: F401 - registers the ids
 from dual_ur10.errors import RecordingError, SettingsError
 from dual_ur10.policies.evaluation.minari_export import to_minari
-from dual_ur10.sim2real.config.cell import CellStep
+from dual_ur10.sim2real.cell.cell import CellStep
 from dual_ur10.sim2real.recording.header import describe
 from dual_ur10.sim2real.recording.hook import RecordHook
 from dual_ur10.sim2real.recording.reader import read_run
@@ -205,7 +205,7 @@ def test_events_are_in_the_record_and_in_the_log(tmp_path):
 
 
 def _config():
-    from dual_ur10.sim2real.config.cell import CellConfig
+    from dual_ur10.sim2real.cell.cell import CellConfig
 
     return CellConfig()
 

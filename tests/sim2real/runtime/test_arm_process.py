@@ -10,15 +10,15 @@ import types
 import numpy as np
 import pytest
 
+from dual_ur10.emulated.cell_emulator import CellEmulator, CellOptions
 from dual_ur10.errors import LinkError, SettingsError
-from dual_ur10.sim2real.peripherals.json_link import JsonLink
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_process import _KEPT, ArmConnection, ArmProcess, _round_trip_s, _ur_rtde
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
 from dual_ur10.testing import VirtualCell
 from tests.sim2real.runtime.pair import SERVOJ, TICK_S, Pair, assert_rests_on_path, assert_stops_both, numbers_of
-from ur_emulator.cell_requests import CellRequests
-from ur_emulator.emulator import Emulator, EmulatorOptions
+from ur_core.links.json_link import JsonLink
+from ur_emulator.injection.cell_requests import CellRequests
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +55,7 @@ class Other(CellRequests):
     def __init__(self, cell, phase_s):
         started = []
         self.clock = cell.clock
-        options = EmulatorOptions(plant="nominal", left="127.0.0.4", right="127.0.0.5", phase_s=phase_s)
+        options = CellOptions(plant="nominal", left="127.0.0.4", right="127.0.0.5", phase_s=phase_s)
         self._process = cell.system.spawn(_emulate, options, started, name="other cell")
         self.clock.sleep(TICK_S)
         self.right, port = started[0].servers[1].host, started[0].description()["emulator"]["port"]
@@ -67,7 +67,7 @@ class Other(CellRequests):
 
 
 def _emulate(options, started, *, system):
-    started.append(Emulator(options, system=system))
+    started.append(CellEmulator(options, system=system))
     started[0].run()
 
 

@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from dual_ur10.errors import CellBusyError, CellFaulted, SettingsError
-from dual_ur10.sim2real.config.cell_file import CellFile, load_cell_file
-from dual_ur10.sim2real.config.cell_file_tables import EmulatorEntry
+from dual_ur10.sim2real.cell_file.cell_file import CellFile, load_cell_file
+from dual_ur10.sim2real.cell_file.tables import EmulatorEntry
 from dual_ur10.sim2real.runtime import latch
 from dual_ur10.sim2real.runtime.latch import CellLock, Claim, Latch
 from ur_core.processes.system import LOCAL
@@ -98,7 +98,7 @@ def test_a_fault_stays_until_it_is_cleared(cell, home):
 def test_a_fault_outlives_the_program_that_notes_it(cell, tmp_path):
     code = (
         "import sys, os\nfrom dual_ur10.sim2real.runtime.latch import Latch\n"
-        "from dual_ur10.sim2real.config.cell_file import load_cell_file\n"
+        "from dual_ur10.sim2real.cell_file.cell_file import load_cell_file\n"
         "Latch(load_cell_file(sys.argv[1])).set('stopped')\nos._exit(1)\n"
     )
     subprocess.run([sys.executable, "-c", code, str(tmp_path / "lab.toml")], check=False, timeout=60)
@@ -288,7 +288,7 @@ def test_one_program_at_a_time_moves_an_arm(cell, tmp_path):
 
 HOLDER = (
     "import sys, time\nfrom dual_ur10.sim2real.runtime.latch import CellLock\n"
-    "from dual_ur10.sim2real.config.cell_file import load_cell_file\n"
+    "from dual_ur10.sim2real.cell_file.cell_file import load_cell_file\n"
     "lock = CellLock(load_cell_file(sys.argv[1]))\nprint('locked', flush=True)\ntime.sleep(60)\n"
 )
 

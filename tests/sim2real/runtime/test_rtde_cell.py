@@ -21,7 +21,7 @@ from dual_ur10.errors import (
     UnknownNameError,
 )
 from dual_ur10.policies.evaluation import rollout as evaluation
-from dual_ur10.sim2real.config.cell_file import CellFile
+from dual_ur10.sim2real.cell_file.cell_file import CellFile
 from dual_ur10.sim2real.runtime.approach import Approach, Rates
 from dual_ur10.testing import VirtualCell
 from tests.cli.command import run

@@ -10,7 +10,7 @@ import types
 import pytest
 
 from dual_ur10.assets.settings import SceneSettings
-from dual_ur10.sim2real.config.cell_file import load_cell_file
+from dual_ur10.sim2real.cell_file.cell_file import load_cell_file
 from dual_ur10.sim2real.control.time_scaling import TimeScaling
 from dual_ur10.sim2real.runtime import stop_enforcer
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase

@@ -4,7 +4,7 @@ import numpy as np
 
 from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
 from dual_ur10.errors import CellFaulted
-from dual_ur10.sim2real.config.cell import CellState, CellStep
+from dual_ur10.sim2real.cell.cell import CellState, CellStep
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.command_queue import CommandQueue
 from dual_ur10.sim2real.control.gate import SafetyGate

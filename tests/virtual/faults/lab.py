@@ -10,7 +10,7 @@ import pytest
 
 import dual_ur10  # noqa: F401  # registers the environments
 from dual_ur10.errors import CellFaulted, StartError
-from dual_ur10.sim2real.config.cell_file import CellFile
+from dual_ur10.sim2real.cell_file.cell_file import CellFile
 from dual_ur10.testing import VirtualCell
 from tests.virtual.faults.wire import Wire, demand, ramp_ticks
 from ur_core.links.arm_status import ROW

@@ -1,8 +1,7 @@
 """Compiled kernel, in C++: kinematics, adapter, safety gate, distances, feed-forward, and geometry for tasks.
 
 Python computes all coefficients and owns all memory that lasts; the kernel does the arithmetic of a policy period,
-row by row, without the GIL. A `Struct` mirrors one of its structures, whose fields the library itself describes. This
-package imports only the project's errors and types; kinematics, control, simulation and tasks use it.
+row by row, without the GIL. A `Struct` mirrors one of its structures, whose fields the library itself describes.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ one the controller's ``getActualTCPPose`` uses. ROS' ``base_link`` is rotated by
 Inverse kinematics names its 8 branches by three signs, in C order of (elbow, wrist, shoulder), + first: index
 ``4 * elbow + 2 * wrist + shoulder``. Elbow + is theta3 >= 0, wrist + is theta5 >= 0.
 
-The lowest layer: imports only `errors` and `types`. Pinocchio is loaded at the first call of inverse dynamics.
+Pinocchio is loaded at the first call of inverse dynamics.
 """
 
 from ur_core.kinematics.dynamics import inverse_dynamics

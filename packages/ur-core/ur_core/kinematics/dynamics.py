@@ -23,7 +23,7 @@ def _model(robot: str, payload_kg: float, payload_com_m: Vector3, gravity: bool)
     try:
         pin = importlib.import_module("pinocchio")  # here, as it takes longer to import than the rest of the package
     except ImportError:
-        raise MissingExtraError("pin", "dynamics", "the dynamics of an arm") from None
+        raise MissingExtraError("pin", "dynamics", "the dynamics of an arm", distribution="ur-core") from None
     model, facts = pin.Model(), robot_model(robot)
     joint, placement = 0, np.eye(4)
     for link, fixed in enumerate(fixed_transforms(nominal_dh(robot))):

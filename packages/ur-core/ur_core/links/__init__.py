@@ -1,5 +1,4 @@
 """Client connections to a UR controller: RTDE (read-only), dashboard and primary interface; and to JSON services.
 
-Also the status of an arm and the estimate of its controller's clock. Imports `sim2real.{protocol, control}`; imported
-by `sim2real.{peripherals, commissioning, runtime, recording}`.
+Also the status of an arm and the estimate of its controller's clock. Nothing here commands motion.
 """

@@ -1,5 +1,4 @@
 """Child processes, shared memory, scheduling priority and interrupts.
 
-Imports only `errors`. Imported by `sim2real.{runtime, recording}`, `ur_emulator` and `cli`, and first by the package
-itself.
+The only room that asks the operating system for time, processes and connections: all else takes them from a `System`.
 """

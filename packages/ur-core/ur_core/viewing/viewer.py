@@ -6,6 +6,7 @@ import contextlib
 import json
 import logging
 import os
+import struct
 import subprocess
 import sys
 from typing import Any
@@ -13,7 +14,12 @@ from typing import Any
 import numpy as np
 
 from ur_core.errors import RenderError
-from ur_core.viewing.web_viewer import AZIMUTH_DEG, ELEVATION_DEG, LENGTH
+
+AZIMUTH_DEG, ELEVATION_DEG = 136.0, -24.0
+"""Initial viewpoint, in front of the arms and to their left."""
+
+LENGTH = struct.Struct("<Q")
+"""Length of a frame, before its bytes, on the way to the web viewer."""
 
 _END_S = 10.0
 

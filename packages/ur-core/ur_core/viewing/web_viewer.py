@@ -14,7 +14,6 @@ import json
 import logging
 import os
 import socket
-import struct
 import sys
 import threading
 import time
@@ -23,14 +22,10 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from ur_core.errors import RenderError
+from ur_core.viewing.viewer import AZIMUTH_DEG, ELEVATION_DEG, LENGTH
 
 LOOPBACK = "127.0.0.1"
 """Only address of the web viewer: it has neither passwords nor encryption."""
-
-LENGTH = struct.Struct("<Q")
-
-AZIMUTH_DEG, ELEVATION_DEG = 136.0, -24.0
-"""Initial viewpoint: that of the camera "perspective" of `dual_ur10.assets.scene`."""
 
 _STUDIOS = (("mujoco.studio", "app", "App", "Config"), ("mujoco.experimental.studio", "viewer_app", "ViewerApp", ""))
 """Packages of MuJoCo's web viewer: since 4.0, and in 3.17."""

@@ -1,0 +1,1 @@
+"""Functions of URScript that a controller offers to programs, by subject; `table` names them all."""

@@ -1,0 +1,189 @@
+"""URScript's functions that move the arm."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Sequence
+from typing import Any, Final
+
+from ur_core.errors import MotionError
+from ur_emulator.controller.controller import Controller
+from ur_emulator.motion import Handle
+from ur_emulator.script import Builtins, Pose
+from ur_emulator.script.values import number
+
+Blocking = Generator[None, None, None]
+
+SOLUTION_STEPS: Final = 50
+"""Statements that one solution of the inverse kinematics counts for."""
+
+# Names and defaults of the parameters are those of UR's script manual; they are what programs write.
+# ruff: noqa: A002
+
+
+class MotionOwner:
+    """Ownership of the arm's motion by one thread of a program at a time, as on a real controller."""
+
+    def __init__(self, controller: Controller) -> None:
+        self._controller = controller
+        self._owner: Any = None
+
+    def check(self) -> None:
+        """Check that the caller is the main program.
+
+        Raises:
+            MotionError: It is a secondary program.
+        """
+        machine = self._controller.program.machine
+        if machine is None or machine.thread is None:  # a secondary program runs now
+            raise MotionError("a secondary program must not move the arm: do that in a program, with def")
+
+    def _take(self) -> tuple[Any, Any]:
+        """Own the motion from the running thread, and return it with its program.
+
+        Raises:
+            MotionError: Another thread owns it.
+        """
+        self.check()
+        machine, owner = self._controller.program.machine, self._owner
+        thread = (machine, machine.thread if machine is not None else None)
+        if owner is not None and owner[0] is machine and owner[1] is not thread[1]:
+            raise MotionError("another thread is already controlling the robot")
+        self._owner = thread
+        return thread
+
+    def follow(self, start: Callable[[], Handle]) -> Blocking:
+        """Start a motion and block until its command returns. A killed thread stops its motion."""
+        thread = self._take()
+        try:
+            handle = start()
+            try:
+                while not handle.done:
+                    yield
+            except GeneratorExit:
+                self._controller.motion.halt()
+                raise
+            if handle.aborted:
+                raise MotionError("a stop ended the motion: start the program again")
+        finally:
+            if self._owner == thread:
+                self._owner = None
+
+
+def joints_of(controller: Controller, q: Sequence[float], near: Sequence[float] | None = None) -> list[float]:
+    """Return the joint positions of a target: joint positions, or a pose.
+
+    Raises:
+        MotionError: The pose cannot be reached, or there are not six numbers.
+    """
+    if len(q) != 6:
+        raise MotionError(f"a target has six numbers, found {len(q)}")
+    if not isinstance(q, Pose):
+        return [float(number(each)) for each in q]
+    controller.spend(SOLUTION_STEPS)
+    found = controller.motion.inverse(q, controller.motion.q if near is None else near)
+    if found is None:
+        raise MotionError(f"no joint positions reach the pose {[round(float(each), 4) for each in q]}")
+    return [float(each) for each in found]
+
+
+def pose_of(controller: Controller, target: Sequence[float]) -> list[float]:
+    """Return the pose of the TCP for a target: a pose, or joint positions."""
+    if len(target) != 6:
+        raise MotionError(f"a target has six numbers, found {len(target)}")
+    if isinstance(target, Pose):
+        return [float(number(each)) for each in target]
+    return [float(each) for each in controller.motion.tcp_pose(joints_of(controller, target))]
+
+
+def motion_builtins(controller: Controller, owner: MotionOwner) -> Builtins:
+    """Return the functions by name."""
+    motion, tick_s = controller.motion, controller.profile.tick_s
+
+    def movej(q: Any, a: float = 1.4, v: float = 1.05, t: float = 0, r: float = 0) -> Blocking:
+        joints = joints_of(controller, q)
+        yield from owner.follow(lambda: motion.move_joints(joints, a, v, t, r))
+
+    def movel(pose: Any, a: float = 1.2, v: float = 0.25, t: float = 0, r: float = 0) -> Blocking:
+        target = pose_of(controller, pose)
+        yield from owner.follow(lambda: motion.move_linear(target, a, v, t, r))
+
+    def movep(pose: Any, a: float = 1.2, v: float = 0.25, r: float = 0) -> Blocking:
+        target = pose_of(controller, pose)
+        yield from owner.follow(lambda: motion.move_process(target, a, v, r))
+
+    def movec(pose_via: Any, pose_to: Any, a: float = 1.2, v: float = 0.25, r: float = 0, mode: int = 0) -> Blocking:
+        via, to = pose_of(controller, pose_via), pose_of(controller, pose_to)
+        yield from owner.follow(lambda: motion.move_circular(via, to, a, v, r))
+
+    def servoj(
+        q: Any, a: float = 0, v: float = 0, t: float = tick_s, lookahead_time: float = 0.1, gain: float = 300
+    ) -> Blocking:
+        joints = joints_of(controller, q)
+
+        def start() -> Handle:
+            handle = motion.servo_joints(joints, t, lookahead_time, gain)
+            if motion.fault is None:
+                controller.note_setpoint(joints, t, lookahead_time, gain)
+            return handle
+
+        yield from owner.follow(start)
+
+    def servoc(pose: Any, a: float = 1.2, v: float = 0.25, r: float = 0) -> Blocking:
+        target = pose_of(controller, pose)
+        yield from owner.follow(lambda: motion.servo_circular(target, a, v, r))
+
+    def speedj(qd: Any, a: float = 1.4, t: float = 0) -> Blocking:
+        yield from owner.follow(lambda: motion.speed_joints(qd, a, t))
+
+    def speedl(xd: Any, a: float = 1.2, t: float = 0, aRot: float = 0) -> Blocking:  # noqa: N803  # UR's name
+        yield from owner.follow(lambda: motion.speed_linear(xd, a, t, aRot or a))
+
+    def stopj(a: float) -> Blocking:
+        yield from owner.follow(lambda: motion.stop_joints(a))
+
+    def stopl(a: float, aRot: float = 0) -> Blocking:  # noqa: N803  # UR's name
+        yield from owner.follow(lambda: motion.stop_linear(a, aRot or a))
+
+    def force_mode(task_frame: Any, selection_vector: Any, wrench: Any, type: int, limits: Any) -> None:
+        owner.check()
+        motion.force_mode(task_frame, selection_vector, wrench, type, limits)
+
+    def end_force_mode() -> None:
+        motion.end_force_mode()
+
+    def force_mode_set_damping(damping: float) -> None:
+        motion.force_mode_settings(damping=damping)
+
+    def force_mode_set_gain_scaling(scaling: float) -> None:
+        if not controller.profile.at_least((5, 0)):
+            # A CB3 must know the name: the program of UR's client library has a call that it never reaches there.
+            raise MotionError("force_mode_set_gain_scaling needs a robot of the e-Series")
+        motion.force_mode_settings(gain_scaling=scaling)
+
+    def teach_mode() -> None:
+        owner.check()
+        motion.freedrive([1] * 6, [0.0] * 6)
+
+    def end_teach_mode() -> None:
+        motion.end_freedrive()
+
+    def freedrive_mode(freeAxes: Any = (1, 1, 1, 1, 1, 1), feature: Any = (0.0,) * 6) -> None:  # noqa: N803
+        owner.check()
+        motion.freedrive(freeAxes, feature)
+
+    def end_freedrive_mode() -> None:
+        motion.end_freedrive()
+
+    def get_freedrive_status() -> int:
+        return int(motion.free)
+
+    functions: Builtins = {
+        each.__name__: each for each in (movej, movel, movep, movec, servoj, servoc, speedj, speedl, stopj, stopl)
+    }
+    functions |= {
+        each.__name__: each
+        for each in (force_mode, end_force_mode, teach_mode, end_teach_mode, freedrive_mode, end_freedrive_mode)
+    }
+    for each in (force_mode_set_damping, force_mode_set_gain_scaling, get_freedrive_status):
+        functions[each.__name__] = each
+    return functions

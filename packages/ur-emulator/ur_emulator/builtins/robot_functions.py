@@ -1,0 +1,210 @@
+"""URScript's functions about the arm: kinematics, measured state, payload and forces."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from ur_core.errors import MotionError
+from ur_core.kinematics.robots import robot_model
+from ur_core.kinematics.ur10 import JOINT_RANGE_RAD
+from ur_emulator.builtins.motion_functions import SOLUTION_STEPS, joints_of
+from ur_emulator.controller.controller import Controller
+from ur_emulator.script import Builtins, Pose
+from ur_emulator.script.values import number
+
+# Names and defaults of the parameters are those of UR's script manual, since programs pass them by name.
+# ruff: noqa: N803
+
+_CONTACT_N: Final = 15.0  # against a direction; UR publishes no threshold of tool_contact
+
+
+def _numbers(values: Any, count: int, what: str) -> list[float]:
+    numbers = [float(number(each)) for each in values] if isinstance(values, list | tuple | np.ndarray) else []
+    if len(numbers) != count or not np.isfinite(numbers).all():
+        raise MotionError(f"{what} must be {count} finite numbers, found {values!r}")
+    return numbers
+
+
+def _six(values: Any, what: str) -> list[float]:
+    return _numbers(values, 6, what)
+
+
+def _mass(m: Any, robot: str) -> float:
+    most = robot_model(robot).payload_kg
+    if not 0.0 <= number(m) <= most:
+        raise MotionError(f"a payload of {m!r} kg cannot be set: allowed are 0 to {most:g} kg")
+    return float(m)
+
+
+def robot_builtins(controller: Controller) -> Builtins:
+    """Return the functions by name."""
+    motion, values, payload = controller.motion, controller.values, controller.payload
+    contact = _Contact(controller)
+
+    def get_actual_joint_positions() -> list[float]:
+        return [float(each) for each in controller.reading.q_rad]
+
+    def get_target_joint_positions() -> list[float]:
+        return [float(each) for each in motion.q]
+
+    def get_actual_joint_speeds() -> list[float]:
+        return [float(each) for each in controller.reading.qd_rad_s]
+
+    def get_target_joint_speeds() -> list[float]:
+        return [float(each) for each in motion.qd]
+
+    def get_actual_joint_positions_history(steps: int = 0) -> list[float]:
+        history = controller.history
+        if not 0 <= steps < len(history):
+            raise MotionError(f"joint positions of {steps} periods ago are not kept: there are {len(history)}")
+        return list(history[-1 - int(steps)])
+
+    def get_actual_tcp_pose() -> Pose:
+        return Pose(motion.tcp_pose(controller.reading.q_rad))
+
+    def get_target_tcp_pose() -> Pose:
+        return Pose(motion.tcp_pose(motion.q))
+
+    def get_target_waypoint() -> Pose:
+        return Pose(motion.tcp_pose(motion.waypoint))
+
+    def get_actual_tcp_speed() -> list[float]:
+        return list(motion.tcp_speed(controller.reading.q_rad, controller.reading.qd_rad_s))
+
+    def get_target_tcp_speed() -> list[float]:
+        return [float(each) for each in motion.tcp_speed(motion.q, motion.qd)]
+
+    def get_actual_tool_flange_pose() -> Pose:
+        return Pose(motion.flange_pose(controller.reading.q_rad))
+
+    def get_forward_kin(q: Any = None, tcp: Any = None) -> Pose:
+        controller.spend(SOLUTION_STEPS // 5)
+        joints = motion.q if q is None else _six(q, "joint positions")
+        return Pose(motion.forward(joints, motion.tcp if tcp is None else _six(tcp, "a TCP")))
+
+    def _inverse(x: Any, qnear: Any, tcp: Any) -> Any:
+        controller.spend(SOLUTION_STEPS)
+        near = motion.q if qnear is None else _six(qnear, "joint positions")
+        return motion.inverse(_six(x, "a pose"), near, None if tcp is None else _six(tcp, "a TCP"))
+
+    def get_inverse_kin(
+        x: Any, qnear: Any = None, maxPositionError: float = 1e-10, maxOrientationError: float = 1e-10, tcp: Any = None
+    ) -> list[float]:
+        found = _inverse(x, qnear, tcp)
+        if found is None:
+            raise MotionError(f"get_inverse_kin found no joint positions for {_six(x, 'a pose')}")
+        return [float(each) for each in found]
+
+    def get_inverse_kin_has_solution(
+        pose: Any,
+        qnear: Any = None,
+        maxPositionError: float = 1e-10,
+        maxOrientationError: float = 1e-10,
+        tcp: Any = None,
+    ) -> bool:
+        return _inverse(pose, qnear, tcp) is not None
+
+    def is_within_safety_limits(pose: Any) -> bool:
+        try:
+            q = joints_of(controller, pose)
+        except MotionError:
+            return False
+        return bool((np.abs(q) <= JOINT_RANGE_RAD).all())
+
+    def is_steady() -> bool:
+        return controller.steady
+
+    def get_steptime() -> float:
+        return controller.profile.tick_s
+
+    def get_joint_torques() -> list[float]:
+        return [float(each) for each in controller.reading.torque_nm]
+
+    def get_tcp_force() -> list[float]:
+        return [float(each) for each in controller.wrench]
+
+    def force() -> float:
+        return float(np.linalg.norm(controller.wrench[:3]))
+
+    def get_joint_temp(j: int) -> float:
+        return float(values["joint_temperatures"][j])
+
+    def get_controller_temp() -> float:
+        return 30.0
+
+    def zero_ftsensor() -> None:
+        controller.zero_wrench()
+
+    def set_tcp(pose: Any) -> None:
+        motion.set_tcp(_six(pose, "a TCP"))
+
+    def get_tcp_offset() -> Pose:
+        return Pose(motion.tcp)
+
+    def set_payload(m: float, cog: Any = (0.0, 0.0, 0.0)) -> None:
+        mass, place = _mass(m, controller.dh.robot), tuple(_numbers(cog, 3, "a centre of gravity"))
+        payload.mass_kg, payload.cog_m = mass, place
+
+    def set_payload_mass(m: float) -> None:
+        set_payload(m, payload.cog_m)
+
+    def set_payload_cog(CoG: Any) -> None:
+        set_payload(payload.mass_kg, CoG)
+
+    def set_target_payload(m: float, cog: Any, inertia: Any = (0.0,) * 6, transition_time: float = 0.0) -> None:
+        moments = tuple(_six(inertia, "an inertia"))
+        set_payload(m, cog)
+        payload.inertia_kg_m2 = moments
+
+    def get_target_payload() -> float:
+        return payload.mass_kg
+
+    def get_target_payload_cog() -> list[float]:
+        return list(payload.cog_m)
+
+    def get_target_payload_inertia() -> list[float]:
+        return list(payload.inertia_kg_m2)
+
+    def set_gravity(d: Any) -> None:
+        _numbers(d, 3, "gravity")  # without effect: the arms stand upright in every emulated cell
+
+    def enable_external_ft_sensor(
+        enable: bool, sensor_mass: float = 0.0, sensor_measuring_offset: Any = (0.0,) * 3, sensor_cog: Any = (0.0,) * 3
+    ) -> None:
+        controller.external_sensor = bool(enable)
+
+    def protective_stop() -> None:
+        controller.protective_stop("C209A0", "the program asked for it")
+
+    def tool_contact(direction: Any = (0.0,) * 6) -> int:
+        return contact.steps(_six(direction, "a direction"))
+
+    own = dict(locals())
+    functions: Builtins = {
+        name: value for name, value in own.items() if callable(value) and not name.startswith("_") and name != "contact"
+    }
+    functions["ft_rtde_input_enable"] = enable_external_ft_sensor
+    functions["get_joint_positions"] = get_actual_joint_positions  # its name in older programs
+    return functions
+
+
+class _Contact:
+    """Duration of a contact force on the tool."""
+
+    def __init__(self, controller: Controller) -> None:
+        self._controller = controller
+        self._tick, self._steps = -1, 0
+
+    def steps(self, direction: list[float]) -> int:
+        """Return the control periods since the force against `direction` began; 0 without one."""
+        towards = np.array(direction[:3])
+        length = float(np.linalg.norm(towards))
+        force = self._controller.wrench[:3]
+        push = float(np.linalg.norm(force)) if length < 1e-9 else -float(force @ towards) / length
+        if self._tick != self._controller.ticks:
+            gone = max(1, self._controller.ticks - self._tick) if self._steps else 1
+            self._tick = self._controller.ticks
+            self._steps = self._steps + gone if push > _CONTACT_N else 0
+        return min(self._steps, len(self._controller.history) - 1)

@@ -1,0 +1,556 @@
+"""One emulated UR controller: the work of one control period."""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from ur_core.errors import OperationRefusedError, ScriptError
+from ur_core.kinematics.forward import elbow_and_flange_position, flange_pose
+from ur_core.kinematics.rotations import cross
+from ur_core.kinematics.ur10 import DHParameters
+from ur_core.processes.system import LOCAL, System
+from ur_core.protocol import primary_messages as messages
+from ur_core.protocol.modes import JointMode, RobotBits, RobotMode, RuntimeState, SafetyMode
+from ur_core.types import Array
+from ur_emulator.controller.inputs_outputs import InputsOutputs
+from ur_emulator.controller.profile import ControllerProfile
+from ur_emulator.controller.program_runner import ProgramRunner
+from ur_emulator.controller.received import Received
+from ur_emulator.controller.registers import Registers, Watchdog
+from ur_emulator.controller.safety import Demand, Safety
+from ur_emulator.motion import JointTorques, Motion
+from ur_emulator.motion.tool_kinematics import Tool
+from ur_emulator.ports.rtde_variables import zero_values
+from ur_emulator.ports.script_sockets import ScriptSockets
+from ur_emulator.script import Builtins, Program
+
+log = logging.getLogger(__name__)
+
+GRAVITY_M_S2: Final = 9.81
+
+# UR publishes no torque constants. These give plausible currents for the simulated torques.
+_NM_PER_A: Final = np.array([13.0, 13.0, 10.0, 9.0, 9.0, 9.0])
+
+_POWERED: Final = (RobotMode.POWER_ON, RobotMode.IDLE, RobotMode.RUNNING)
+_PLAYS: Final = (RuntimeState.PLAYING, RuntimeState.RESUMING, RuntimeState.PAUSING)
+_ROBOT_BITS: Final = (  # by power, and by a running program: operations on flags are slow
+    (RobotBits(0), RobotBits.PROGRAM_RUNNING),
+    (RobotBits.POWER_ON, RobotBits.POWER_ON | RobotBits.PROGRAM_RUNNING),
+)
+_RUNNING: Final = (int(JointMode.RUNNING),) * 6
+
+_MEASURED: Final = (
+    "target_q",
+    "actual_q",
+    "actual_qd",
+    "actual_TCP_force",
+    "actual_current",
+    "target_current",
+    "joint_control_output",
+    "actual_robot_current",
+)
+
+_HISTORY: Final = 1000  # control periods of joint positions kept for programs
+_SETPOINTS: Final = 50_000  # executed servoj targets kept
+_MESSAGES: Final = 256
+
+_LEVELS: Final[dict[int, messages.ReportLevel]] = {
+    SafetyMode.PROTECTIVE_STOP: messages.ReportLevel.WARNING,
+    SafetyMode.FAULT: messages.ReportLevel.FAULT,
+}
+"""Severity of stops as reported, others VIOLATION. That of a protective stop: the tests of UR's client library."""
+
+_ENCODER_RAD: Final = 1e-12  # smallest motion that is measured: a solver leaves less than 1e-18 rad in an arm at rest
+
+STEADY_RAD: Final = 0.01
+STEADY_RAD_S: Final = 0.001
+REDUCED_SPEED: Final = 0.5  # ratio of the speed in reduced mode; a real one depends on the safety configuration
+
+
+class ArmReading(NamedTuple):
+    """Measurements of one arm.
+
+    Attributes:
+        q_rad: (6,) joint positions.
+        qd_rad_s: (6,) joint speeds.
+        torque_nm: (6,) motor torques of the joints.
+        wrench: (6,) force and torque on the flange, N and N·m, along the axes of the arm's `base`, without the
+            gripper's own weight; zero where nothing measures it.
+        gripper_m: Gripper width; None without a gripper.
+    """
+
+    q_rad: Array
+    qd_rad_s: Array
+    torque_nm: Array
+    wrench: Array
+    gripper_m: float | None
+
+
+Setpoint = tuple[int, tuple[float, ...], float, float, float]
+"""One executed servoj target: control period, target, t, lookahead time and gain. A plain tuple of numbers, since the
+garbage collector visits each kept named tuple in every collection."""
+
+
+@dataclass
+class Payload:
+    """Payload as set on the controller."""
+
+    mass_kg: float = 0.0
+    cog_m: tuple[float, ...] = (0.0, 0.0, 0.0)
+    inertia_kg_m2: tuple[float, ...] = (0.0,) * 6
+
+
+class Controller:
+    """One UR controller, without its sockets.
+
+    Args:
+        name: "left" or "right", for the log.
+        profile: Its version.
+        q_rad: (6,) initial joint positions.
+        substeps: Physics steps per control period.
+        dh: Its nominal kinematics.
+        builtins: Factory of the functions that its programs may call, such as `builtins_of`.
+        lookahead_scale: Ratio of the true lookahead to the commanded one.
+        gripper_kg: Payload mass declared by its installation.
+        powered: Whether the arm is powered from the start.
+        boot_s: Initial reading of its own clock.
+        system: Network of the connections that its programs open.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        profile: ControllerProfile,
+        q_rad: Array,
+        substeps: int,
+        *,
+        dh: DHParameters,
+        builtins: Callable[[Controller], Builtins],
+        lookahead_scale: float = 1.0,
+        gripper_kg: float = 0.0,
+        powered: bool = True,
+        boot_s: float = 100.0,
+        system: System = LOCAL,
+    ) -> None:
+        self.name, self.profile = name, profile
+        self.dh = dh
+        self.ticks = 0
+        self.boot_s = boot_s
+        self.registers = Registers()
+        self.received = Received(self.registers)
+        self.io = InputsOutputs()
+        self.sockets = ScriptSockets(system, name)
+        self.safety = Safety(profile.assumptions, powered=powered)
+        self._reported_mode = self.safety.safety_mode
+        self.motion = Motion(
+            profile.tick_s, substeps, q_rad, dh=dh, lookahead_scale=lookahead_scale, assumptions=profile.assumptions
+        )
+        self.payload = Payload(gripper_kg)
+        self.gripper_kg = gripper_kg
+        self._values = LiveValues(zero_values(profile), self._derived())
+        self.overrides: dict[str, Any] = {}
+        self._overridden: dict[str, Any] = {}
+        self.remote_control: bool | None = True  # None: its settings offer none, as those of URSim do
+        self.history: deque[tuple[float, ...]] = deque(maxlen=_HISTORY)
+        self.setpoints: deque[Setpoint] = deque(maxlen=_SETPOINTS)
+        self.setpoints_count = 0
+        self.external_sensor = False
+        self.popup = ""
+        self.messages: deque[bytes] = deque(maxlen=_MESSAGES)
+        self.watchdog: Watchdog | None = None
+        self.watchdog_acts = True
+        self.wrench: Array = np.zeros(6)
+        self._wanted: Array = np.array(q_rad, dtype=float)
+        self._deviating = 0
+        self._ran = False
+        self._raw_wrench: Array = np.zeros(6)
+        self._wrench_zero: Array = np.zeros(6)
+        self.program = ProgramRunner(
+            profile, self.motion, builtins(self), self._script_failed, self._announce, self.sockets.close_all
+        )
+        self.reading = ArmReading(np.array(q_rad, dtype=float), np.zeros(6), np.zeros(6), np.zeros(6), None)
+        self.previous = self.reading
+        self._shown = _Shown(self.reading, self.reading.q_rad, self.motion, np.zeros(6), self.wrench)
+        self._constant_values()
+        self._publish(np.zeros(6))
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """Values that are reported to clients, by RTDE name: always the same dictionary, complete for now."""
+        self._values.complete()
+        return self._values
+
+    @property
+    def time_s(self) -> float:
+        """Time since the controller was started: RTDE's `timestamp`."""
+        return self.boot_s + self.ticks * self.profile.tick_s
+
+    def tick(self, reading: ArmReading) -> Array:
+        """Begin one control period: measure, run the program, and plan the motion.
+
+        Returns:
+            (substeps, 3, 6): the motion, as `CellWorld.advance` takes it.
+        """
+        self.ticks += 1
+        before_rad = self.reading.q_rad
+        seen_rad = np.where(np.abs(reading.q_rad - before_rad) > _ENCODER_RAD, reading.q_rad, before_rad)
+        reading = reading._replace(q_rad=seen_rad)
+        self.previous, self.reading = self.reading, reading
+        self._measure(reading)
+        self.motion.observe(reading.q_rad, reading.qd_rad_s)
+        self.safety.tick(self.profile.tick_s, at_rest=not self.motion.moving or self.program.scaling == 0.0)
+        if self.safety.safety_mode != self._reported_mode:
+            self._reported_mode = self.safety.safety_mode
+            self.messages.append(messages.safety_mode_message(self.time_s, self._reported_mode))
+        demand = self.safety.demand
+        limit = REDUCED_SPEED if self.safety.reduced else 1.0
+        self.program.tick(
+            demand, may_move=self.safety.may_move, resumes=self.safety.resumes, slider=self.io.slider * limit
+        )
+        self._watch()
+        if self._ran and self.program.machine is None:
+            self.received.ended_tick = self.ticks
+            if not self.profile.assumptions.output_registers_persist:
+                self.registers.clear_outputs()
+        self._ran = self.program.machine is not None
+        before = self.motion.qd.copy()
+        plan: Array = self.motion.plan(self.program.scaling, wrench=self.wrench, q_actual=reading.q_rad)
+        self._check_faults(reading)
+        # Under torque control no acceleration is commanded.
+        commanded = np.zeros(6) if self.motion.torques is not None else self.motion.qd - before
+        self._publish(commanded / self.profile.tick_s)
+        return plan
+
+    @property
+    def torques(self) -> JointTorques | None:
+        """Torques of the planned control period, payload included; None in position control."""
+        torques, weight = self.motion.torques, (self.payload.mass_kg - self.gripper_kg) * GRAVITY_M_S2
+        if torques is None or not weight:
+            return torques
+        lift = self.motion.arm.jacobian(self.reading.q_rad, Tool((*self.payload.cog_m, 0.0, 0.0, 0.0)))[2]
+        return JointTorques(torques.torque_nm + weight * lift, torques.coulomb_scale)
+
+    def _check_faults(self, reading: ArmReading) -> None:
+        """Stop protectively after an infeasible command, or if the arm deviates from its path."""
+        fault = self.motion.fault
+        if fault is not None:
+            self.motion.fault = None
+            self.protective_stop(fault.code, fault.text)
+        assumed = self.profile.assumptions
+        away = np.abs(self._wanted - reading.q_rad)
+        self._wanted = self.motion.q
+        self._deviating = self._deviating + 1 if away.max() > assumed.deviation_rad else 0
+        if self._deviating >= assumed.deviation_ticks:
+            self._deviating = 0
+            joint = int(away.argmax())
+            text = f"position deviates from path: joint {joint} by {away[joint]:.3f} rad, allowed are "
+            self.protective_stop("C153A0", f"{text}{assumed.deviation_rad:g} rad")
+            self.motion.hold_at(reading.q_rad)
+            self._wanted = self.motion.q
+
+    def note_setpoint(self, q_rad: Sequence[float], t_s: float, lookahead_s: float, gain: float) -> None:
+        """Record an executed servoj target."""
+        self.setpoints_count += 1
+        self.setpoints.append((self.ticks, tuple(q_rad), float(t_s), float(lookahead_s), float(gain)))
+
+    def override(self, name: str, value: Any) -> None:
+        """Report this value of a variable to clients from the next tick on, instead of the true one; None ends it."""
+        if value is not None:
+            self._overridden.setdefault(name, self.values[name])
+            self.overrides[name] = value
+        elif self.overrides.pop(name, None) is not None:
+            self.values[name] = self._overridden.pop(name)
+
+    # Stops.
+
+    def protective_stop(self, code: str, text: str) -> None:
+        """Stop protectively, with an error code of UR."""
+        if self.safety.safety_mode != SafetyMode.PROTECTIVE_STOP:
+            log.warning("%s: protective stop: %s: %s", self.name, code, text)
+            self.stop(SafetyMode.PROTECTIVE_STOP, text, code)
+
+    def stop(self, mode: int, text: str = "", code: str | None = None) -> None:
+        """Raise a stop condition, and report it to clients of the primary interface.
+
+        Args:
+            mode: Any number that RTDE's `safety_mode` may have.
+            text: Explanation.
+            code: Error code of UR; None: the cause has none.
+
+        Raises:
+            OperationRefusedError: The mode stands for normal operation.
+        """
+        before = self.safety.safety_mode
+        self.safety.stop(mode, text if code is None else f"{code}: {text}")
+        if before != mode:
+            code, level = code or "C0A0", _LEVELS.get(mode, messages.ReportLevel.VIOLATION)
+            self.messages.append(messages.error_code_message(self.time_s, code, text, level=level))
+            self.messages.append(messages.safety_mode_message(self.time_s, mode, code))
+            self._reported_mode = self.safety.safety_mode
+
+    def send_text(self, text: str) -> None:
+        """Send a text message of a program to clients of the primary interface."""
+        self.messages.append(messages.text_message(self.time_s, text))
+
+    def open_popup(self, title: str, text: str) -> None:
+        """Open a popup."""
+        self.popup = text
+        self.messages.append(messages.popup_message(self.time_s, title, text))
+
+    def _script_failed(self, error: ScriptError) -> None:
+        log.warning("%s: program stopped: %s", self.name, error)
+        self.messages.append(messages.script_error_message(self.time_s, error))
+
+    def _announce(self, title: str, text: str) -> None:
+        self.messages.append(messages.key_message(self.time_s, title, text))
+
+    def spend(self, steps: int) -> None:
+        """Charge a costly function with so many statements of this control period.
+
+        Raises:
+            RecursionError: The control period has fewer left.
+        """
+        machine = self.program.machine
+        if machine is not None and machine.thread is not None:
+            machine.spend(steps)
+
+    def _watch(self) -> None:
+        watchdog = self.watchdog
+        if watchdog is None:
+            return
+        if self.program.machine is None or self.program.machine is not watchdog.machine:
+            self.watchdog = None  # it ends with the program that set it
+            return
+        if watchdog.is_fed(self.registers, self.profile.assumptions.watchdog_counts_unchanged):
+            return
+        watchdog.since_s += self.profile.tick_s
+        if watchdog.since_s > watchdog.period_s and self.watchdog_acts:
+            log.warning("%s: the watchdog on %s was not fed for %.3g s", self.name, watchdog.name, watchdog.since_s)
+            text = f"no client wrote {watchdog.name} for {watchdog.since_s:.3g} s: {watchdog.action}"
+            self._announce("RTDE_WATCHDOG", text)
+            self.watchdog = None
+            if watchdog.action == "pause":
+                self.program.pause()
+            else:
+                self.program.stop("its watchdog was not fed")
+
+    # Measured and reported values.
+
+    def zero_wrench(self) -> None:
+        """Take the present force as zero."""
+        self._wrench_zero = self._raw_wrench.copy()
+
+    def _measure(self, reading: ArmReading) -> None:
+        wrench = reading.wrench.copy()
+        weight = (self.payload.mass_kg - self.gripper_kg) * GRAVITY_M_S2
+        if weight:
+            wrench[2] += weight
+            _, rotation = flange_pose(reading.q_rad, self.dh)
+            wrench[3:] += cross(rotation @ self.payload.cog_m, np.array([0.0, 0.0, weight]))
+        if any(self.motion.tcp[:3]):
+            tcp, flange = self.motion.tcp_pose(reading.q_rad), self.motion.flange_pose(reading.q_rad)
+            lever = np.subtract(tcp[:3], flange[:3])
+            wrench[3:] -= cross(lever, wrench[:3])
+        self._raw_wrench = wrench
+        self.wrench = wrench - self._wrench_zero
+        if self.external_sensor and self.io.external_wrench is not None:
+            self.wrench = np.array(self.io.external_wrench)
+        self.history.append(tuple(reading.q_rad.tolist()))
+
+    def _constant_values(self) -> None:
+        values = self._values
+        values.update(
+            joint_temperatures=(30.0,) * 6,
+            actual_main_voltage=48.0,
+            actual_robot_voltage=48.0,
+            actual_joint_voltage=(48.0,) * 6,
+            actual_tool_accelerometer=(0.0, 0.0, GRAVITY_M_S2),
+            tool_temperature=30.0,
+            tool_mode=int(JointMode.RUNNING),
+            actual_execution_time=0.0,
+        )
+
+    def _publish(self, qdd: Array) -> None:
+        """Update the values that are reported to clients."""
+        values, motion, reading, program, safety = self._values, self.motion, self.reading, self.program, self.safety
+        running = safety.robot_mode == RobotMode.RUNNING
+        self._shown = _Shown(reading, self._shown.reading.q_rad, motion, qdd, self.wrench)
+        values.forget()
+        values["timestamp"] = self.time_s
+        values["actual_digital_input_bits"] = self.io.inputs
+        values["actual_digital_output_bits"] = self.io.outputs
+        values["standard_analog_output0"], values["standard_analog_output1"] = self.io.analog(0), self.io.analog(1)
+        values["tool_output_voltage"] = self.io.tool_voltage
+        values["analog_io_types"] = self.io.analog_types
+        values["robot_mode"] = int(safety.robot_mode)
+        values["joint_mode"] = _RUNNING if running else (int(_joint_mode(safety.robot_mode)),) * 6
+        values["safety_mode"] = values["safety_status"] = int(safety.safety_mode)
+        values["safety_status_bits"] = int(safety.safety_bits)
+        values["robot_status_bits"] = int(self.robot_bits)
+        values["runtime_state"] = int(program.state)
+        values["speed_scaling"] = program.scaling
+        values["target_speed_fraction"] = self.io.slider
+        values["payload"] = self.payload.mass_kg
+        values["payload_cog"] = self.payload.cog_m
+        values["payload_inertia"] = self.payload.inertia_kg_m2
+        if "tcp_offset" in values:
+            values["tcp_offset"] = motion.tcp
+        values.update(self.overrides)
+
+    def _derived(self) -> dict[tuple[str, ...], Callable[[], tuple[Any, ...]]]:
+        """Return functions of values that are computed when somebody reads them, by the names of these values."""
+        return {
+            _MEASURED: self._measured,
+            ("target_qd",): lambda: (_numbers(self._shown.target_qd),),
+            ("target_qdd",): lambda: (_numbers(self._shown.target_qdd),),
+            ("target_moment",): lambda: (_numbers(self._shown.reading.torque_nm),),
+            ("actual_TCP_pose", "actual_TCP_speed"): lambda: self._shown.actual_tcp(),
+            ("target_TCP_pose", "target_TCP_speed"): lambda: self._shown.target_tcp(),
+            ("elbow_position", "elbow_velocity"): self._elbow,
+            ("tcp_force_scalar",): lambda: (float(np.linalg.norm(self._shown.wrench[:3])),),
+            ("ft_raw_wrench",): lambda: (_numbers(self._shown.reading.wrench),),
+            ("actual_current_as_torque",): lambda: (_numbers(self._shown.reading.torque_nm),),
+        }
+
+    def _measured(self) -> tuple[Any, ...]:
+        shown = self._shown
+        current = shown.reading.torque_nm / _NM_PER_A
+        of_joints = _numbers(current)
+        return (
+            _numbers(shown.target_q),
+            _numbers(shown.reading.q_rad),
+            _numbers(shown.reading.qd_rad_s),
+            _numbers(shown.wrench),
+            of_joints,
+            of_joints,
+            of_joints,
+            0.5 + 0.1 * float(np.abs(current).sum()),
+        )
+
+    def _elbow(self) -> tuple[Any, ...]:
+        elbow = elbow_and_flange_position(self._shown.reading.q_rad, self.dh.robot)[0]
+        before = elbow_and_flange_position(self._shown.q_before, self.dh.robot)[0]
+        return _numbers(elbow), _numbers((elbow - before) / self.profile.tick_s)
+
+    @property
+    def robot_bits(self) -> RobotBits:
+        """RTDE's `robot_status_bits`."""
+        return _ROBOT_BITS[self.safety.robot_mode in _POWERED][self.program.state in _PLAYS]
+
+    @property
+    def steady(self) -> bool:
+        """True if the arm stands and no motion is commanded."""
+        there = float(np.abs(self.motion.q - self.reading.q_rad).max()) < STEADY_RAD
+        return not self.motion.moving and there and float(np.abs(self.reading.qd_rad_s).max()) < STEADY_RAD_S
+
+    # Input from clients.
+
+    def inputs(self, values: Mapping[str, Any]) -> None:
+        """Apply the values of an RTDE input package that are no registers."""
+        self.io.apply(values)
+
+    def run_script(self, text: str, found: Program | ScriptError | None = None) -> None:
+        """Run a program received on a script port. Local mode refuses it, as on a real controller.
+
+        Args:
+            text: Text of the program.
+            found: Result of parsing it, if it has been parsed already.
+        """
+        if self.takes_scripts:
+            self.program.load(text, found)
+        else:
+            self.refuse("a program", "the controller is in local mode")
+
+    @property
+    def takes_scripts(self) -> bool:
+        """True unless the controller is in local mode."""
+        return self.remote_control is not False or not self.profile.has_remote_control
+
+    def refuse(self, request: str, reason: str) -> None:
+        """Report a request on a script port that is refused."""
+        log.warning("%s: %s is refused: %s", self.name, request, reason)
+        self._announce("PROGRAM_REFUSED", reason)
+
+    def play(self) -> None:
+        """Start or resume the program.
+
+        Raises:
+            OperationRefusedError: The arm must not move, or there is no program.
+        """
+        if self.safety.demand is not Demand.NONE:
+            raise OperationRefusedError("the arm is stopped or has no power")
+        self.program.play()
+
+
+class LiveValues(dict[str, Any]):
+    """Values by name, of which some are computed when they are read first after `forget`.
+
+    Args:
+        values: Values of all names.
+        derived: Functions of the derived values by their names; names that are not among `values` are skipped.
+    """
+
+    def __init__(
+        self, values: Mapping[str, Any], derived: Mapping[tuple[str, ...], Callable[[], tuple[Any, ...]]]
+    ) -> None:
+        super().__init__(values)
+        self._sources = {name: (names, source) for names, source in derived.items() for name in names if name in values}
+
+    def __missing__(self, name: str) -> Any:
+        names, source = self._sources[name]
+        for each, value in zip(names, source(), strict=True):
+            if each in self._sources:
+                self.setdefault(each, value)  # an override stays
+        return self[name]
+
+    def forget(self) -> None:
+        """Forget the derived values: what they are derived from has changed."""
+        for name in self._sources:
+            self.pop(name, None)
+
+    def complete(self) -> None:
+        """Compute all derived values that were not read yet."""
+        for name in self._sources:
+            if name not in self:
+                self.__missing__(name)
+
+
+class _Shown:
+    """State of one control period from which reported values are derived.
+
+    Args:
+        reading: Measurements.
+        q_before: (6,) joint positions one control period before.
+        motion: Reference motion.
+        target_qdd: (6,) its mean accelerations.
+        wrench: (6,) force and torque at the TCP.
+    """
+
+    __slots__ = ("_arm", "_tool", "q_before", "reading", "target_q", "target_qd", "target_qdd", "wrench")
+
+    def __init__(self, reading: ArmReading, q_before: Array, motion: Motion, target_qdd: Array, wrench: Array) -> None:
+        self.reading, self.q_before, self.wrench = reading, q_before, wrench
+        self.target_q, self.target_qd, self.target_qdd = motion.q, motion.qd, target_qdd
+        self._arm, self._tool = motion.arm, motion.tool
+
+    def actual_tcp(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Return pose (6,) and speed (6,) of the TCP of the arm."""
+        return self._arm.pose_and_speed(self.reading.q_rad, self.reading.qd_rad_s, self._tool)
+
+    def target_tcp(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Return pose (6,) and speed (6,) of the TCP of the reference motion."""
+        return self._arm.pose_and_speed(self.target_q, self.target_qd, self._tool)
+
+
+def _numbers(array: Array) -> tuple[float, ...]:
+    return tuple(array.tolist())
+
+
+def _joint_mode(mode: RobotMode) -> JointMode:
+    return JointMode.POWER_OFF if mode < RobotMode.POWER_ON else JointMode.IDLE

@@ -1,0 +1,1 @@
+"""Injection of faults into arm, program, network and clock, and the requests that ask for them."""

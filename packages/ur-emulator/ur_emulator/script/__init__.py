@@ -1,0 +1,21 @@
+"""URScript interpreter: parse, check and run programs of UR controllers, one control period at a time."""
+
+from ur_emulator.script.compiled import Program, parse, read
+from ur_emulator.script.library import library
+from ur_emulator.script.machine import Machine, Thread
+from ur_emulator.script.splitter import Splitter
+from ur_emulator.script.values import Builtins, Pose, VersionBuiltins, text
+
+__all__ = [
+    "Builtins",
+    "Machine",
+    "Pose",
+    "Program",
+    "Splitter",
+    "Thread",
+    "VersionBuiltins",
+    "library",
+    "parse",
+    "read",
+    "text",
+]

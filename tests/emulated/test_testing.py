@@ -1,0 +1,61 @@
+"""The page of the emulator: its fixture in another project, and its example of `ur_rtde`."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+CLIENT, CONFTEST, TESTS = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "emulator.md").read_text(), re.DOTALL)
+MORE = """
+import os
+
+pids = []
+
+
+@pytest.mark.parametrize("ur_controller", [{"robot": "ur10"}], indirect=True)
+@pytest.mark.ur_controller(robot="ur5", powered=False)
+def test_the_nearest_option_counts(ur_controller):
+    assert ur_controller.robot == "ur10"
+    assert ur_controller.ask("state", names=["robot_mode"]) == {"robot_mode": 3}
+    pids.append(ur_controller.process.pid)
+
+
+def test_it_has_ended_with_its_test():
+    with pytest.raises(ProcessLookupError):
+        os.kill(*pids, 0)
+
+
+@pytest.mark.ur_controller("ur3")
+def test_an_option_has_a_name(ur_controller):
+    pass
+"""
+
+
+@pytest.mark.emulated
+def test_the_documented_fixture_runs_in_another_project(tmp_path):
+    # Beside the fixtures of cells, which are a plugin, too.
+    (tmp_path / "conftest.py").write_text(CONFTEST.replace("[", '["dual_ur10.testing", '))
+    (tmp_path / "test_it.py").write_text(TESTS + MORE)
+    (tmp_path / "pytest.ini").write_text("[pytest]\n")  # settings of no folder above
+    command = [sys.executable, "-m", "pytest", "-q", "--strict-markers", "-p", "no:cacheprovider", "-W", "error"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    found = subprocess.run(
+        [*command, str(tmp_path)], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=240
+    )
+    assert "3 passed, 1 error" in found.stdout, found.stdout + found.stderr
+    assert "the marker ur_controller has ('ur3',): name each option, as in robot='ur3e'" in found.stdout
+
+
+@pytest.mark.emulated
+@pytest.mark.real_time
+def test_the_documented_client_moves_the_arm(tmp_path):
+    pytest.importorskip("rtde_control")
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-c", CLIENT]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert float(done.stdout) == pytest.approx(0.5, abs=2e-3)

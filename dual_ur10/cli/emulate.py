@@ -8,6 +8,7 @@ import typer
 
 from dual_ur10.cli.options import ArmFamily, Left, Right
 from ur_emulator.cli import DhError, Plant, Polyscope, Powered, Programs, Seed, View, log_warnings, serve
+from ur_emulator.world.plant import PlantOptions
 
 
 def emulate(
@@ -43,7 +44,7 @@ def emulate(
         str | None,
         typer.Option("--cell", help="Write a cell file, for programs that connect."),
     ] = None,
-    plant: Plant = "mild",
+    plant: Plant = PlantOptions.plant,
     dh_error: DhError = 0.0,
     seed: Seed = 0,
     programs: Programs = None,

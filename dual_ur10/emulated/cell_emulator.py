@@ -75,7 +75,7 @@ class CellEmulator(Emulator):
         grippers: Sequence[Gripper] | None = None,
         system: System = LOCAL,
     ) -> None:
-        world = CellWorld(cell_of(options) if config is None else config, options.task, options.plant_options)
+        world = CellWorld(cell_of(options) if config is None else config, options.task, options)
         self._grippers = _grippers_of(options, world, grippers)
         super().__init__(
             options,

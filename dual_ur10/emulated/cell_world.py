@@ -26,7 +26,8 @@ from ur_core.tools.tool import Tool, strokes_m
 from ur_core.types import Array
 from ur_emulator.controller.controller import ArmReading
 from ur_emulator.motion import JointTorques
-from ur_emulator.world.world import Delay, Hand, PlantOptions
+from ur_emulator.world.plant import PlantOptions
+from ur_emulator.world.world import Delay, Hand
 
 
 class CellWorld:

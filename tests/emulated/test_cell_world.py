@@ -14,7 +14,7 @@ from ur_core.kinematics import flange_pose
 from ur_core.kinematics.ur10 import NOMINAL_DH
 from ur_core.servoj import ServojProfile
 from ur_emulator.motion import JointTorques, Motion
-from ur_emulator.world.world import PlantOptions
+from ur_emulator.world.plant import PlantOptions
 
 TASKS = (None, "SineTracking", "SyncCarry", "Handover")
 

@@ -17,7 +17,7 @@ from ur_emulator.motion import JointTorques, Motion
 from ur_emulator.script import read
 from ur_emulator.world import lone_arm
 from ur_emulator.world.lone_arm import DEVIATIONS, LoneArm
-from ur_emulator.world.world import PLANTS, PlantOptions
+from ur_emulator.world.plant import PLANTS, PlantOptions
 
 
 def arm_of(robot="ur5e", **options):

@@ -16,6 +16,7 @@ from typing import Annotated, Any, ClassVar, Final, TypeVar
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
 
 from dual_ur10.errors import CheckpointError, DualUR10Error
+from ur_core.findings import listed, path_of
 
 MOST_BYTES: Final = 1 << 20
 """Size of a text above which it is not read."""
@@ -113,7 +114,7 @@ def read(kind: type[T], value: Any, where: str, error: type[DualUR10Error] = Che
     except ValidationError as reason:
         raise error(_findings(reason, where, value)) from None
     if found := list(_absent(dataclasses.asdict(result), value, where)):  # type: ignore[call-overload]  # a dataclass
-        raise error(_listed(found, str))
+        raise error(listed(found, str, _MOST_FINDINGS))
     return result
 
 
@@ -127,11 +128,6 @@ def check(value: object, where: str, error: type[DualUR10Error]) -> None:
         _adapter(type(value)).validate_python(value)
     except ValidationError as reason:
         raise error(_findings(reason, where, value)) from None
-
-
-def _listed(found: list[T], text: Callable[[T], str]) -> str:
-    more = [f"and {len(found) - _MOST_FINDINGS} more"] if len(found) > _MOST_FINDINGS else []
-    return "; ".join([*map(text, found[:_MOST_FINDINGS]), *more])
 
 
 def _absent(filled: Any, value: Any, path: str) -> Iterator[str]:
@@ -152,20 +148,20 @@ def _findings(error: ValidationError, where: str, value: Any) -> str:
     parents = {each["loc"][:-1] for each in found}
     # pydantic counts only valid items: a list with a wrong one would be too short as well.
     kept = [each for each in found if each["type"] != "too_short" or each["loc"] not in parents]
-    return _listed(kept, lambda each: _finding(each, where + _path(each["loc"], value)))
+    return listed(kept, lambda each: _finding(each, where + _path(each["loc"], value)), _MOST_FINDINGS)
 
 
 def _path(keys: tuple[int | str, ...], value: Any) -> str:
-    path = ""
+    path = []
     for k, key in enumerate(keys):
         if isinstance(value, dict) and key not in value and k < len(keys) - 1:
             continue  # the tag of a union is no key of the JSON
-        path += f"[{key}]" if isinstance(key, int) else f".{key:.80}"
+        path.append(key)
         if isinstance(value, dict):
             value = value.get(key)
         elif isinstance(value, list) and isinstance(key, int):
             value = value[key] if key < len(value) else None  # an item that is missing
-    return path
+    return path_of(path)
 
 
 def _finding(finding: Any, path: str) -> str:

@@ -15,7 +15,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from dual_ur10.errors import CalibrationError
 from dual_ur10.sim2real.calibration.board import Board, Camera, calibrated_camera, located
 from dual_ur10.sim2real.calibration.observations import BarPose, BoardView, Carrier, Noise, Observation, Touch
-from ur_core.files import read_regular, write_text
+from ur_core.files import read_named, write_text
+from ur_core.findings import listed
 
 MAX_BYTES: Final = 4 << 20
 MAX_OBSERVATIONS: Final = 2000
@@ -176,11 +177,9 @@ def parse(content: bytes, source: str = "the data file") -> DataFile:
         return DataFile.model_validate_json(content)
     except ValidationError as error:
         errors = error.errors(include_url=False, include_input=False, include_context=False)
-        findings = [f"{_place(each['loc'])}{each['msg']}" for each in errors[:_MOST_FINDINGS]]
-        more = f", and {len(errors) - _MOST_FINDINGS} more" if len(errors) > _MOST_FINDINGS else ""
+        findings = listed(errors, lambda each: f"{_place(each['loc'])}{each['msg']}", _MOST_FINDINGS)
         raise CalibrationError(
-            f"{source} is no data file of a calibration: {'; '.join(findings)}{more}. Correct these places; nothing "
-            "was changed"
+            f"{source} is no data file of a calibration: {findings}. Correct these places; nothing was changed"
         ) from None
 
 
@@ -197,17 +196,14 @@ def read(path: str | Path) -> DataFile:
         CalibrationError: It cannot be read or is not valid.
     """
     path = Path(path)
-    try:
-        if not path.exists():
-            raise CalibrationError(
-                f"there is no data file {path}: record observations with `--record touch` or `--record bar`, or "
-                "correct the name"
-            )
-        content = read_regular(path, MAX_BYTES)
-    except (OSError, ValueError) as error:
-        if isinstance(error, CalibrationError):
-            raise
-        raise CalibrationError(f"cannot read {path}: {error}. Correct the name, or the rights of the file") from error
+    content = read_named(
+        path,
+        MAX_BYTES,
+        CalibrationError,
+        absent=f"there is no data file {path}: record observations with `--record touch` or `--record bar`, or correct "
+        "the name",
+        remedy="Correct the name, or the rights of the file",
+    )
     return parse(content, str(path))
 
 

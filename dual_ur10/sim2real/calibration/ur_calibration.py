@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from dual_ur10.errors import CalibrationError, MissingExtraError, SettingsError
 from dual_ur10.sim2real.calibration.transforms import flange, rotation_of, transform
-from ur_core.files import read_regular
+from ur_core.files import read_named
 from ur_core.kinematics.ur10 import DHParameters
 from ur_core.types import Array
 
@@ -64,16 +64,12 @@ def read(path: str | Path, robot: str) -> DHParameters:
     except ImportError:
         raise MissingExtraError("PyYAML", "calibration", "a calibration in YAML") from None
     path = Path(path)
+    content = read_named(path, _MAX_BYTES, CalibrationError, remedy="Correct the name")
+    if len(content) > _MAX_BYTES:
+        raise CalibrationError(f"{path} is longer than {_MAX_BYTES} bytes: name the file of a calibration")
     try:
-        content = read_regular(path, _MAX_BYTES)
-        if len(content) > _MAX_BYTES:
-            raise CalibrationError(f"{path} is longer than {_MAX_BYTES} bytes: name the file of a calibration")
         values = yaml.safe_load(content)
-    except OSError as error:
-        raise CalibrationError(f"cannot read {path}: {error}. Correct the name") from error
     except (yaml.YAMLError, RecursionError, ValueError) as error:
-        if isinstance(error, CalibrationError):
-            raise
         raise CalibrationError(f"{path} is no YAML: {' '.join(str(error).split())[:200]}") from None
     return of_frames(_frames(values, str(path)), robot)
 

@@ -42,7 +42,7 @@ from dual_ur10.sim2real.cell_file.tables import (
     key,
 )
 from dual_ur10.sim2real.cell_file.text import KeyList, missing, toml_text
-from ur_core.files import read_regular
+from ur_core.files import read_named
 from ur_core.kinematics.robots import MODEL_OF_FAMILY, ROBOTS
 from ur_core.kinematics.ur10 import ARMS
 from ur_core.mjcf.gains import Gains
@@ -369,17 +369,14 @@ def load_cell_file(path: str | Path) -> CellFile:
 
 def _text_of(path: str | Path) -> str:
     path = Path(path)
-    try:
-        if not path.exists():
-            raise CellFileError(
-                f"there is no cell file {path}: write one with `python -m dual_ur10 cell new {path}`, or correct "
-                "the name"
-            )
-        content = read_regular(path, MAX_BYTES)
-    except (OSError, ValueError, RuntimeError) as error:
-        if isinstance(error, CellFileError):
-            raise
-        raise CellFileError(f"cannot read {path}: {error}. Correct the name, or the rights of the file") from error
+    content = read_named(
+        path,
+        MAX_BYTES,
+        CellFileError,
+        absent=f"there is no cell file {path}: write one with `python -m dual_ur10 cell new {path}`, or "
+        "correct the name",
+        remedy="Correct the name, or the rights of the file",
+    )
     if len(content) > MAX_BYTES:
         raise CellFileError(
             f"{path} is longer than {MAX_BYTES} bytes, the most that a cell file may be: name another, or shorten it"

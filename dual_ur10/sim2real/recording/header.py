@@ -21,6 +21,7 @@ from dual_ur10.errors import RecordingError, SettingsError, UnknownNameError
 from dual_ur10.ids import __version__
 from dual_ur10.sim2real.cell.cell import CellConfig
 from dual_ur10.sim2real.recording.run import Header, Mount, Servoj, Source
+from ur_core.findings import listed
 from ur_core.kinematics.frames import ArmMount
 from ur_core.kinematics.ur10 import DHParameters, nominal_dh
 
@@ -260,11 +261,11 @@ def _adapter() -> TypeAdapter[Header]:
 
 def findings(error: ValidationError) -> str:
     """Return all that was found wrong, each with its path."""
-    found = []
-    for each in error.errors(include_url=False, include_context=False)[:_MOST_FINDINGS]:
-        path = ".".join(map(str, each["loc"]))
-        value = f" is {reprlib.repr(each['input'])}" if path and each["type"] != "missing" else ""
-        text = each["msg"].replace("Input should", "it should").replace("Field required", "it is missing")
-        found.append(f"{path}{value}: {text}".removeprefix(": "))
-    more = error.error_count() - len(found)
-    return "; ".join(found) + (f"; and {more} more" if more > 0 else "")
+    return listed(error.errors(include_url=False, include_context=False), _phrase, _MOST_FINDINGS)
+
+
+def _phrase(finding: Any) -> str:
+    path = ".".join(map(str, finding["loc"]))
+    value = f" is {reprlib.repr(finding['input'])}" if path and finding["type"] != "missing" else ""
+    text = finding["msg"].replace("Input should", "it should").replace("Field required", "it is missing")
+    return f"{path}{value}: {text}".removeprefix(": ")

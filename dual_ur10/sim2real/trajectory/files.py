@@ -21,7 +21,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from dual_ur10.errors import MissingExtraError, TrajectoryError, UnknownNameError
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, ResultCode
-from ur_core.files import check_target, read_regular
+from ur_core.files import check_target, read_named
+from ur_core.findings import path_of
 from ur_core.kinematics.ur10 import ARMS, JOINTS
 from ur_core.types import Array
 
@@ -93,14 +94,7 @@ def read_trajectory(path: str | Path, *, number_points: bool = False, allow_part
     kind = FORMATS.get(path.suffix.lower())
     if kind is None:
         raise TrajectoryError(f"{path} has the suffix {path.suffix!r}: it must be one of {', '.join(FORMATS)}")
-    try:
-        if not path.exists():
-            raise TrajectoryError(f"there is no file {path}: correct the name")
-        data = read_regular(path, MOST_BYTES)
-    except (OSError, ValueError) as error:
-        if isinstance(error, TrajectoryError):
-            raise
-        raise TrajectoryError(f"cannot read {path}: {error}") from error
+    data = read_named(path, MOST_BYTES, TrajectoryError, absent=f"there is no file {path}: correct the name")
     return parse_trajectory(data, kind, str(path), number_points=number_points, allow_partial=allow_partial)
 
 
@@ -232,7 +226,7 @@ def _finding(error: ValidationError | RecursionError) -> str:
     if isinstance(error, RecursionError):
         return "it is nested too deeply: it must be a JointTrajectory"
     found = error.errors(include_url=False)[0]
-    path = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in found["loc"]).lstrip(".")
+    path = path_of(found["loc"]).removeprefix(".")
     if found["type"] == "extra_forbidden":
         known = {name for model in (_Message, _Header, _Point, _Time) for name in model.model_fields}
         near = difflib.get_close_matches(str(found["loc"][-1])[:60], sorted(known), 1)

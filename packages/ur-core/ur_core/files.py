@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import secrets
 import stat
+from collections.abc import Callable
 from pathlib import Path
 
 from ur_core.errors import URError
@@ -30,6 +31,29 @@ def read_regular(path: str | Path, most_bytes: int | None = None) -> bytes:
         raise OSError("it is no regular file")
     with os.fdopen(number, "rb") as file:
         return file.read(-1 if most_bytes is None else most_bytes + 1)
+
+
+def read_named(
+    path: str | Path, most_bytes: int, error: Callable[[str], URError], *, absent: str = "", remedy: str = ""
+) -> bytes:
+    """Return the content of a regular file that a person named.
+
+    Args:
+        path: The file.
+        most_bytes: See `read_regular`.
+        error: Function that returns the error of a message.
+        absent: Message for a file that does not exist; empty: that of the system.
+        remedy: Sentence that follows the reason why a file cannot be read.
+
+    Raises:
+        URError: As `error`: there is none, or it cannot be read.
+    """
+    try:
+        if not absent or Path(path).exists():
+            return read_regular(path, most_bytes)
+    except (OSError, ValueError, RuntimeError) as reason:
+        raise error(f"cannot read {path}: {reason}{remedy and f'. {remedy}'}") from reason
+    raise error(absent)
 
 
 def check_target(path: str | Path) -> Path:

@@ -14,6 +14,7 @@ from rich.markup import escape
 from ur_core.errors import MissingExtraError, SettingsError, URError
 from ur_core.processes.interrupts import begin_program, end_interrupted
 from ur_core.processes.system import LOCAL, System
+from ur_emulator.world.plant import PlantOptions
 
 if TYPE_CHECKING:
     from ur_emulator.emulator import Emulator
@@ -94,7 +95,7 @@ def emulate(
         ),
     ] = None,
     polyscope: Polyscope = None,
-    plant: Plant = "mild",
+    plant: Plant = PlantOptions.plant,
     dh_error: DhError = 0.0,
     seed: Seed = 0,
     programs: Programs = None,

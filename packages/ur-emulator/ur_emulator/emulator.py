@@ -30,7 +30,8 @@ from ur_emulator.ports.addresses import checked_address, free_address
 from ur_emulator.ports.arm_server import ArmServer, LinePeer
 from ur_emulator.ports.grippers import EmulatedGripper
 from ur_emulator.ports.sockets import Hub
-from ur_emulator.world.world import PlantOptions, SimulatedWorld
+from ur_emulator.world.plant import PlantOptions
+from ur_emulator.world.world import SimulatedWorld
 
 if TYPE_CHECKING:
     from ur_core.viewing.viewer import Viewer
@@ -55,14 +56,11 @@ GripperOf = Callable[[Callable[[], int]], EmulatedGripper | None]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class EmulatorOptions:
-    """Options of all emulated controllers.
+class EmulatorOptions(PlantOptions):
+    """Options of all emulated controllers. Its seed is also that of random faults.
 
     Attributes:
         polyscope: PolyScope version of the controllers, a key of `POLYSCOPES`; None: the tested one of the family.
-        plant: Deviation of the plant from its nominal model; see `PlantOptions`.
-        seed: Seed of the sampled plant and of random faults.
-        dh_error_m: Largest error of the arms' kinematics, m.
         powered: Whether the arms have power, and their brakes released, from the start.
         view: Whether MuJoCo's web viewer shows them.
         programs: Folder of the program files that the dashboard loads, or None.
@@ -74,9 +72,6 @@ class EmulatorOptions:
     """
 
     polyscope: str | None = None
-    plant: str = "mild"
-    seed: int = 0
-    dh_error_m: float = 0.0
     powered: bool = True
     view: bool = False
     programs: str | None = None
@@ -97,11 +92,6 @@ class EmulatorOptions:
                 f"unknown options of emulated controllers: {', '.join(unknown)}; known: {sorted(known)}"
             )
         return cls(**values)
-
-    @property
-    def plant_options(self) -> PlantOptions:
-        """Options of the simulated plant."""
-        return PlantOptions(plant=self.plant, seed=self.seed, dh_error_m=self.dh_error_m)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -327,7 +317,7 @@ def _lone_arm(options: EmulatorOptions) -> SimulatedWorld:
     if not isinstance(robot, str):
         raise SettingsError(f"robot is {robot!r}: name the model of a controller by itself, such as 'ur5e'")
     robot_model(robot)
-    return LoneArm(robot, options.plant_options)
+    return LoneArm(robot, options)
 
 
 def _serial_number(controller: Controller) -> dict[str, str]:

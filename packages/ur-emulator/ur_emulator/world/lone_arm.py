@@ -20,7 +20,8 @@ from ur_core.tools.tool import Tool
 from ur_core.types import Array
 from ur_emulator.controller.controller import ArmReading
 from ur_emulator.motion import JointTorques
-from ur_emulator.world.world import Delay, Hand, PlantOptions
+from ur_emulator.world.plant import PlantOptions
+from ur_emulator.world.world import Delay, Hand
 
 STEP_S: Final = 0.002
 """Physics step: a control period of the e-Series, a quarter of one of a CB3."""

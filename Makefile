@@ -153,6 +153,7 @@ docs: $(VENV)/.dev $(KERNEL)  ## build the documentation site into out/site, str
 media: $(VENV)/.dev $(KERNEL)  ## make the videos and pictures of the documentation anew: half an hour without a GPU
 	@MUJOCO_GL=$(or $(MUJOCO_GL),egl) PYTHONPATH=. $(VENV)/bin/python docs/media.py
 	@$(VENV)/bin/python docs/figures.py
+	@$(VENV)/bin/python docs/floors.py
 
 test-torchrl: $(VENV)/.dev $(KERNEL)  ## TorchRL's own wrappers and checks, which `make test` skips without TorchRL
 	@$(VENV)/bin/python -m pip install $(PIP_FLAGS) -c constraints.txt torchrl

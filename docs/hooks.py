@@ -39,12 +39,16 @@ def cell_file() -> str:
 
 def errors() -> str:
     """Return the tree of exceptions with the condition of each."""
-    from dual_ur10 import errors as module
+    import dual_ur10.errors
+    import ur_core.errors
 
+    modules = (ur_core.errors.__name__, dual_ur10.errors.__name__)
     lines = [
         "# Errors",
         "",
-        "Every error is a `DualUR10Error`. Its message names what was found, what is allowed and what to do.",
+        "Every error of the three distributions is a `URError`. Its message names what was found, what is allowed and "
+        "what to do. `ur_core.errors` has those of arms, links and installations; `dual_ur10.errors` has the others, "
+        "and `URError` under the name `DualUR10Error`.",
         "",
     ]
 
@@ -54,10 +58,10 @@ def errors() -> str:
         also = f" (also a `{'`, `'.join(bases)}`)" if bases else ""
         lines.append(f"{'    ' * depth}- **`{kind.__name__}`**{also}: " + " ".join(summary.split("\n\n")[0].split()))
         for each in kind.__subclasses__():
-            if each.__module__ == module.__name__:
+            if each.__module__ in modules:
                 branch(each, depth + 1)
 
-    branch(module.DualUR10Error, 0)
+    branch(ur_core.errors.URError, 0)
     return "\n".join(lines) + "\n"
 
 

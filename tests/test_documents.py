@@ -16,6 +16,8 @@ import pytest
 import typer
 import yaml
 
+import dual_ur10.errors
+import ur_core.errors
 import ur_emulator.cli
 from dual_ur10 import tasks
 from dual_ur10.assets import visuals
@@ -266,6 +268,30 @@ def test_plots_are_those_of_their_figures_and_these_are_those_of_the_tables():
         line = next(line for line in section.splitlines() if line.startswith(f"| {row['row']} |"))
         stated = {float(each) for each in re.findall(r"(?<![\d.])\d+(?:\.\d+)?", line)}
         assert {float(each) for each in row.values() if not isinstance(each, str)} <= stated, row
+
+
+def test_the_picture_of_the_distributions_is_that_of_the_contracts():
+    """It holds a hash of them, and the page names every room."""
+    pytest.importorskip("matplotlib")
+    floors = load("floors")
+    shown = floors.contracts()
+    assert shown.digest() in floors.PICTURE.read_text(), "run docs/floors.py: the contracts are others"
+    page = (DOCS / "explanation" / "architecture.md").read_text()
+    named = {each.rpartition("/")[2] for each in re.findall(r"`([\w/]+)`", page)}
+    for rooms in (room for rows in shown.floors.values() for row in rows for room in row):
+        assert rooms.rpartition(".")[2] in {*named, "__main__", "errors", "ids", "files", "objects", "types"}, rooms
+
+
+def test_every_error_is_on_its_page():
+    pytest.importorskip("mkdocs")
+    listed = re.findall(r"^ *- \*\*`(\w+)`", load("hooks").errors(), re.MULTILINE)
+    kinds = {
+        name
+        for module in (dual_ur10.errors, ur_core.errors)
+        for name, each in vars(module).items()
+        if isinstance(each, type) and issubclass(each, ur_core.errors.URError) and each.__name__ == name
+    }
+    assert sorted(listed) == sorted(kinds)
 
 
 def test_only_short_keys_of_tables_stay_in_one_line():

@@ -1,5 +1,5 @@
 # Two commands do everything on a machine with Python 3.11 or 3.12: `make demo` and `make test`.
-# All that is installed goes to .venv, .venv-oldest, .venv-rllib and .venv-clients beside this file. No sudo.
+# All that is installed goes to .venv and .venv-* beside this file. No sudo.
 
 SHELL := /bin/sh
 PYTHON ?= $(shell command -v python3.11 || command -v python3.12 || command -v python3)
@@ -21,6 +21,10 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 # Some containers set it. The tests start many processes, and each would compile all that it imports again.
 unexport PYTHONDONTWRITEBYTECODE
+
+# Tests of a distribution, and folders of packages: in an environment linked from that of all tests, without the others.
+ALONE = $(VENV)/bin/python -m tests.alone .venv-$(1) "$(1)[test]" --source $(2) && \
+  .venv-$(1)/bin/python -P -m pytest -n 2 --dist worksteal -m "not emulated" -o pythonpath="$(2)" packages/$(1)/tests
 
 # `make fuzz`: executions per target, or seconds (TIME_S=60); some targets only (TARGET=rtde_server); another seed.
 RUNS ?= $(if $(TIME_S),0,20000)
@@ -105,9 +109,11 @@ test: $(VENV)/.dev $(KERNEL)  ## install, lint, type-check, run all tests but th
 	@$(MAKE) --no-print-directory -j 3 lint docs test-virtual
 	@$(VENV)/bin/python -m pytest tests/live/test_smoke.py
 
-# What make prints last names what has failed.
+# What make prints last names what has failed. The tests of a distribution run where there is nothing that it does not need.
 test-virtual: $(VENV)/.dev $(KERNEL)
-	@$(VENV)/bin/python -m pytest -n 2 --dist worksteal -m "not emulated"
+	@$(VENV)/bin/python -m pytest -n 2 --dist worksteal -m "not emulated" tests
+	@$(call ALONE,ur-core,packages/ur-core)
+	@$(call ALONE,ur-emulator,packages/ur-core packages/ur-emulator)
 
 # Streaming to arms asks for more than half of two cores, in real time: these tests run one at a time, with nothing
 # beside them. Controllers that wait more than they work come in pairs.
@@ -214,4 +220,4 @@ format: $(VENV)/.dev  ## ruff's formatter and its safe fixes
 	@$(VENV)/bin/ruff format .
 
 clean:  ## remove what make built
-	rm -rf $(VENV) $(OLDEST) $(RLLIB) $(CLIENTS) $(KERNEL) out build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) .venv-ur-core .venv-ur-emulator $(OLDEST) $(RLLIB) $(CLIENTS) $(KERNEL) out build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

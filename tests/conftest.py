@@ -6,6 +6,8 @@ import pytest
 
 from dual_ur10 import ids
 
+pytest_plugins = ["tests.conditions"]
+
 
 @pytest.fixture
 def registries():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from dual_ur10.errors import RateError, SettingsError, UnknownNameError
+from ur_core.errors import RateError, SettingsError, UnknownNameError
 from ur_core.servoj import ServojLaw, ServojProfile
 
 # Under-, critically and over-damped; the second is exactly critical.

@@ -1,4 +1,4 @@
-"""Same conditions wherever the tests run."""
+"""Same conditions wherever the tests run: a plugin of pytest."""
 
 import functools
 import inspect

@@ -1,0 +1,3 @@
+"""Conditions of the tests of this distribution."""
+
+pytest_plugins = ["tests.conditions"]

@@ -33,6 +33,7 @@ from dual_ur10.sim2real.analysis.compare import Comparison, compare
 from dual_ur10.sim2real.analysis.page import Column
 from dual_ur10.sim2real.analysis.plot_style import ARM_COLORS, figure
 from dual_ur10.sim2real.analysis.replay import RecordedPolicy, source_of
+from dual_ur10.sim2real.cell.named_cell import resolve_cell
 from dual_ur10.sim2real.cell_file.cell_file import load_cell_file
 from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.runtime.latch import Latch
@@ -135,11 +136,11 @@ def measure_emulated(
         if importlib.util.find_spec("rtde_control") is None:
             raise MissingExtraError("ur_rtde", "real", "running the tasks on emulated controllers")
         folder.mkdir(parents=True, exist_ok=True)
-        with _emulated_cell(run, folder) as (path, cell):
+        with _emulated_cell(run, folder) as (cell, log_tail):
             try:
-                return _both(run, path, folder, on_ratio)
+                return _both(run, cell, folder, on_ratio)
             except (DualUR10Error, OSError):
-                text = cell.log_tail()
+                text = log_tail()
                 raise
     except (DualUR10Error, OSError, ImportError) as error:
         log.warning("%s on emulated controllers: %s", run.task.title, error)
@@ -147,20 +148,23 @@ def measure_emulated(
 
 
 @contextlib.contextmanager
-def _emulated_cell(run: EmulatedRun, folder: Path) -> Iterator[tuple[Path, EmulatedCell]]:
-    """Yield an emulated cell and its file. Its latched stop ends with it: the cell will never be started again."""
+def _emulated_cell(run: EmulatedRun, folder: Path) -> Iterator[tuple[Any, Callable[[], str]]]:
+    """Yield the keyword `cell` of an emulated cell, and a function that returns the end of its log.
+
+    Its latched stop ends with it: the cell will never be started again.
+    """
     name = run.task.name
     path = folder / f"{name}.toml"
     with EmulatedCell(task=run.case.env_id, plant="nominal", cell=str(path), log=folder / f"{name}-cell.log") as cell:
         latch = Latch(load_cell_file(path))
         try:
-            yield path, cell
+            yield str(path), cell.log_tail
         finally:
             latch.clear()
 
 
-def _both(run: EmulatedRun, path: Path, folder: Path, on_ratio: OnRatio) -> EmulatedPair:
-    config = load_cell_file(path).config()
+def _both(run: EmulatedRun, cell: Any, folder: Path, on_ratio: OnRatio) -> EmulatedPair:
+    config = resolve_cell(cell)
     # Both cells get twice the latency that controllers need: on a machine that runs controllers, arms and policy at
     # once, many actions would otherwise miss their deadline.
     latency = {"action_latency_ticks": 2 * config.latency_ticks}
@@ -168,7 +172,7 @@ def _both(run: EmulatedRun, path: Path, folder: Path, on_ratio: OnRatio) -> Emul
     in_simulation = run.case.given(cell=replace(config, kind="mujoco", file=None), **latency)
     simulated, _ = _episode(run.task, in_simulation, folder, None, lambda _: None)
     on_ratio(PREPARING_S / 2 / whole_s)
-    on_controllers = run.case.given(cell=str(path), **latency)
+    on_controllers = run.case.given(cell=cell, **latency)
     emulated, shown = _episode(
         run.task,
         on_controllers,

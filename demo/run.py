@@ -111,6 +111,8 @@ def run_demo(out: Path, *, quick: bool = False, progress: Progress = lambda *_: 
         case, steps = sized(task, task.filmed, extent.film_s)
 
         def do(on_ratio: OnRatio) -> None:
+            if missing:
+                return
             env, policy = make(case)
             with contextlib.closing(env):
                 shown = take(env, policy, seed=0)
@@ -122,7 +124,7 @@ def run_demo(out: Path, *, quick: bool = False, progress: Progress = lambda *_: 
 
     def filming_emulated() -> _Job:
         def do(on_ratio: OnRatio) -> None:
-            if not pairs:
+            if missing or not pairs:
                 return
             pair = pairs[-1]  # that of Handover, if it did not fail
             title = f"{pair.run.task.title} on two emulated controllers"
@@ -133,8 +135,6 @@ def run_demo(out: Path, *, quick: bool = False, progress: Progress = lambda *_: 
         return _Job("drawing emulated.mp4", steps / extent.speed.get("emulated", 1.0) * _FRAME_S, do)
 
     def draw(name: str, file: str, shown: Take, title: str, text: str, keys: Sequence[Key], on_ratio: OnRatio) -> None:
-        if missing:
-            return
         speed = extent.speed.get(name, 1.0)
         try:
             films[name] = shoot(out / file, shown, title, text, speed=speed, keys=keys, on_ratio=on_ratio)

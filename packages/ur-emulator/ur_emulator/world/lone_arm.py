@@ -216,7 +216,7 @@ class _Fields:
 
 
 def _model_of(mount: ArmMount, *, visuals: bool = False) -> Any:
-    """Return the model of one arm with its base at the origin, with lights if it is drawn."""
+    """Return the model of one arm with its base at the origin, with its surroundings if it is drawn."""
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.option.timestep = STEP_S
@@ -226,10 +226,23 @@ def _model_of(mount: ArmMount, *, visuals: bool = False) -> Any:
     spec.option.disableflags |= _OFF.mjDSBL_AUTORESET
     arm = arm_spec(mount.dh, STIFF)
     if visuals:
-        for x in (-2.0, 2.0):
-            spec.worldbody.add_light(pos=(x, -2.0, 4.0), dir=(-x, 2.0, -4.0), castshadow=False)
+        _surround(spec)
     else:
         remove_visuals(arm)
     base = spec.worldbody.add_body(name=f"{ARMS[0]}/", quat=mount.quat)
     spec.attach(arm, prefix=f"{ARMS[0]}/", frame=base.add_frame())
     return spec.compile()
+
+
+def _surround(spec: Any) -> None:
+    """Add lights, a sky and a floor to a model that is drawn."""
+    for x in (-2.0, 2.0):
+        spec.worldbody.add_light(pos=(x, -2.0, 4.0), dir=(-x, 2.0, -4.0), castshadow=x > 0)
+    gradient, sky = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT, mujoco.mjtTexture.mjTEXTURE_SKYBOX
+    spec.add_texture(
+        name="sky", type=sky, builtin=gradient, rgb1=(0.93, 0.95, 0.97), rgb2=(0.62, 0.69, 0.76), width=64, height=384
+    )
+    plane = mujoco.mjtGeom.mjGEOM_PLANE
+    spec.worldbody.add_geom(
+        name="floor", type=plane, size=(3.0, 3.0, 0.1), rgba=(0.4, 0.42, 0.45, 1.0), contype=0, conaffinity=0
+    )

@@ -13,7 +13,7 @@ from demo.case import SUCCESS, Case, Result, Task, figure_column
 from dual_ur10.envs.tasks.sine_tracking.task import SineTracking
 from dual_ur10.policies.evaluation.accuracy import accuracy, along_axis, correlation, errors, lag_s, skew_s
 from dual_ur10.sim2real.analysis.plot_style import ARM_COLORS, capital, figure, legend_right
-from dual_ur10.sim2real.cell.cell import CellConfig
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.cell.perturbation import TYPICAL_PERTURBATION
 from ur_core.kinematics.frames import ArmMount
 from ur_core.kinematics.ur10 import ARMS, JOINTS

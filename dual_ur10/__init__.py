@@ -20,7 +20,7 @@ if ur_core.__version__ != __version__:
 if not interrupts.is_child():  # the processes that move, stop or record arms start faster without the rest
     from dual_ur10 import registration  # noqa: F401  # registers
     from dual_ur10.ids import ENV_IDS
-    from dual_ur10.sim2real.cell.cell import CellConfig
+    from dual_ur10.sim2real.cell.cell_config import CellConfig
     from dual_ur10.sim2real.cell.perturbation import TYPICAL_PERTURBATION, Perturbation
     from ur_core.kinematics.frames import ArmMount
     from ur_core.kinematics.ur10 import DHParameters

@@ -41,7 +41,8 @@ from dual_ur10.policies.scripted.base import Fields, Script, ScriptedPolicy, Wis
 from dual_ur10.policies.scripted.motions import Motions, Steps, least_jerk, pair, raised
 from dual_ur10.policies.training.settings import Imitation, Reinforcement, TaskSettings
 from dual_ur10.registration import register
-from dual_ur10.sim2real.cell.cell import CellConfig, CellState, Start
+from dual_ur10.sim2real.cell.cell import CellState, Start
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.control.limits import MotionLimits
 from ur_core.kinematics.frames import Frames
 from ur_core.kinematics.poses import Poses, compose, pose, relative_to, rotation_angle, yaw_quat

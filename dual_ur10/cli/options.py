@@ -191,7 +191,7 @@ def keywords_of(
     if arm is not None:
         keywords["arm"] = arm
     if perturbed:
-        from dual_ur10.sim2real.cell.cell import CellConfig
+        from dual_ur10.sim2real.cell.cell_config import CellConfig
         from dual_ur10.sim2real.cell.perturbation import TYPICAL_PERTURBATION
 
         keywords["cell"] = CellConfig(perturbation=TYPICAL_PERTURBATION)

@@ -15,7 +15,7 @@ from dual_ur10.emulated.cell_world import CellWorld
 from dual_ur10.emulated.grippers import entry_of, gripper_of
 from dual_ur10.errors import SettingsError
 from dual_ur10.ids import env_id_of
-from dual_ur10.sim2real.cell.cell import CellConfig
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.cell_file.tables import Gripper, NoGripper
 from dual_ur10.sim2real.cell_file.text import toml_text
 from dual_ur10.sim2real.runtime.latch import clear_ended

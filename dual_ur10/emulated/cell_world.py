@@ -18,7 +18,8 @@ from dual_ur10.envs.sim.physics import Physics
 from dual_ur10.envs.sim.servo_reference import Motion
 from dual_ur10.envs.tasks.task import SceneRequirements
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.sim2real.cell.cell import CellConfig, CellState, Start
+from dual_ur10.sim2real.cell.cell import CellState, Start
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from ur_core.kinematics.frames import ArmMount
 from ur_core.kinematics.ur10 import ARMS
 from ur_core.mjcf.torque_control import Torques

@@ -10,7 +10,7 @@ from typing import Any, Self
 
 from dual_ur10.emulated.cell_emulator import CellEmulator, CellOptions, cell_of
 from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError, VirtualCellError
-from dual_ur10.sim2real.cell.cell import CellConfig
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.cell_file.cell_file import VIRTUAL, CellFile
 from dual_ur10.sim2real.runtime.latch import Fault, Latch
 from ur_core.kinematics.ur10 import ARMS

@@ -23,7 +23,7 @@ from dual_ur10.errors import DualUR10Error, PolicyError, SettingsError, UnknownN
 from dual_ur10.ids import LEARNED_NAMES, TASKS, env_id_of
 from dual_ur10.policies.baselines import BASELINES, RandomPolicy, ZeroPolicy
 from dual_ur10.policies.policy import Policy, as_policy, policy_name
-from dual_ur10.sim2real.cell.cell import CellConfig
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.cell.cell_kinds import CELL_KINDS
 from ur_core.objects import load_object
 

@@ -15,7 +15,7 @@ from dual_ur10.assets.prop import Camera
 from dual_ur10.assets.props import BAR, BAR_WELDS, BLOCK, TARGET
 from dual_ur10.assets.scene import build_model, compose, sensor_slices
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings, default_mount
-from dual_ur10.sim2real.cell.cell import CellConfig
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from tests.model_hashes import HASHES, hash_of
 from tests.sim2real.control.reference_cell import UNEQUAL, contacts, random_q
 from ur_core.errors import MissingExtraError, SettingsError, UnknownNameError

@@ -16,7 +16,7 @@ from dual_ur10.assets.scene import build_model
 from dual_ur10.assets.settings import DEFAULT_TOOLS, HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.envs.core.options import MOVE_TO_START
 from dual_ur10.policies import load
-from dual_ur10.sim2real.cell.cell import CellConfig
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.recording.header import built as built_of
 from dual_ur10.sim2real.recording.header import plain
 from ur_core.errors import SettingsError, UnknownNameError

@@ -7,7 +7,7 @@ import pytest
 
 from dual_ur10.assets.props import TARGET
 from dual_ur10.emulated.cell_world import CellWorld
-from dual_ur10.sim2real.cell.cell import CellConfig
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from tests.emulated.ticking import Cell
 from ur_core.errors import SettingsError, UnknownNameError
 from ur_core.kinematics import flange_pose

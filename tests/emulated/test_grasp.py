@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dual_ur10.assets.props import GRIP_DISTANCE_M, GRIP_QUAT
-from dual_ur10.sim2real.cell.cell import CellConfig
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.testing import VirtualCell
 from ur_core.kinematics.frames import Frames
 from ur_core.kinematics.rotations import quat_multiply, quat_to_rotvec, rotate

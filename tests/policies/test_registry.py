@@ -8,7 +8,7 @@ from dual_ur10.errors import CheckpointError, DualUR10Error, PolicyError, Settin
 from dual_ur10.policies import evaluate, load, make, rollout
 from dual_ur10.policies.learned import checkpoint
 from dual_ur10.policies.registry import check_name, is_class, keywords_for
-from dual_ur10.sim2real.cell.cell import CellConfig
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from tests.policies.learned.checkpoints import SINE, parts
 
 OWN = """

@@ -12,7 +12,7 @@ from typing import Any, Final, Literal, get_args
 import numpy as np
 
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.sim2real.cell.cell import CellConfig
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.control.adapter import ActionMode, ActionScale, scale_of_steps
 from dual_ur10.sim2real.control.command_queue import checked_latency
 from ur_core.kinematics.robots import robot_model
@@ -43,7 +43,7 @@ class EnvOptions:
 
     Attributes:
         cell: "mujoco"; "echo", a dry run without physics, whose state is what was commanded; a
-            `dual_ur10.sim2real.cell.cell.CellConfig`; or, for two controllers, the path of a cell file or a
+            `dual_ur10.sim2real.cell.cell_config.CellConfig`; or, for two controllers, the path of a cell file or a
             `dual_ur10.testing.VirtualCell`.
         robot: Model of both arms, such as "ur5e", or of the left and the right one; see
             `ur_core.kinematics.robots.ROBOTS`. A shorter arm stands nearer to the workspace. None: two UR10s, or
@@ -61,8 +61,8 @@ class EnvOptions:
         compensate_lag: Compensate the lag of `servoj` in the adapter.
         at_limits: Reaction to motion that the safety gate would refuse. "lead": the adapter leads it along what is in
             its way, in simulation and on two controllers alike, and `info["led"]` is True; see
-            `dual_ur10.sim2real.control.leading`. Only what cannot be led is refused. "refuse": it reaches the gate as
-            it was planned.
+            `dual_ur10.sim2real.control.pipeline.Leading`. Only what cannot be led is refused. "refuse": it reaches the
+            gate as it was planned.
         on_refusal: Reaction to a motion that the safety gate refuses. "terminate": the episode ends. "brake": both arms
             of the cell brake, and the episode continues from rest. A refusal costs a reward of 1, once until a motion
             is released again, and the episode cannot succeed, because on two controllers it would have ended. None:

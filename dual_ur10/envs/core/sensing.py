@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from dual_ur10.envs.core.randomization import Randomization
-from dual_ur10.sim2real.cell.cell import CellConfig, CellState
+from dual_ur10.sim2real.cell.cell import CellState
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from ur_core.kinematics.frames import Frames
 from ur_core.kinematics.poses import Poses
 from ur_core.kinematics.rotations import quat_from_rotvec, quat_multiply

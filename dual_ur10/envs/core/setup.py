@@ -14,7 +14,7 @@ from dual_ur10.envs.core.randomization import Randomization, resolve_randomizati
 from dual_ur10.envs.tasks.task import SceneRequirements, Task, Timing
 from dual_ur10.errors import ResetRefusedError, SettingsError, UnknownKeywordError, UnknownNameError
 from dual_ur10.ids import TASKS, env_id_of
-from dual_ur10.sim2real.cell.cell import CellConfig, HostedCell
+from dual_ur10.sim2real.cell.cell_config import CellConfig, HostedCell
 from dual_ur10.sim2real.cell.named_cell import resolve_cell
 from dual_ur10.sim2real.cell.perturbation import Perturbation
 from dual_ur10.sim2real.control.adapter import ServojAdapter, scale_of_steps

@@ -9,7 +9,8 @@ import numpy as np
 
 from dual_ur10.envs.sim.servo_reference import Motion, ServojReference
 from dual_ur10.errors import ClosedError, SettingsError
-from dual_ur10.sim2real.cell.cell import CellConfig, CellRequest, CellState, CellStep, Start, TickTrace
+from dual_ur10.sim2real.cell.cell import CellRequest, CellState, CellStep, Start, TickTrace
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.cell.mirror_model import MirrorModel
 from dual_ur10.sim2real.cell.perturbation import Perturbation
 from dual_ur10.sim2real.control.adapter import Command

@@ -13,7 +13,8 @@ from dual_ur10.assets.scene import sensor_slices
 from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.envs.sim.feedforward import GRAVITY_M_S2
 from dual_ur10.errors import ActionError, UnknownNameError
-from dual_ur10.sim2real.cell.cell import CellConfig, Start
+from dual_ur10.sim2real.cell.cell import Start
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from ur_core.kernel import RowLoop, Struct
 from ur_core.kinematics.frames import to_base
 from ur_core.kinematics.poses import Poses

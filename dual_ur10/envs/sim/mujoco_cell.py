@@ -10,7 +10,8 @@ import numpy as np
 from dual_ur10.envs.sim.physics import Physics
 from dual_ur10.envs.sim.servo_reference import Motion, ServojReference, TargetDelay, TimeScaledTargets
 from dual_ur10.errors import ClosedError, SettingsError
-from dual_ur10.sim2real.cell.cell import CellConfig, CellRequest, CellStep, Start, TickTrace
+from dual_ur10.sim2real.cell.cell import CellRequest, CellStep, Start, TickTrace
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.control.command_queue import CommandQueue
 from ur_core.tools.tool import strokes_m

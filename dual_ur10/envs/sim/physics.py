@@ -16,7 +16,8 @@ from dual_ur10.envs.sim.handling import NOT_HANDLED, Handling, Props
 from dual_ur10.envs.sim.plant import Plant
 from dual_ur10.envs.sim.servo_reference import Motion
 from dual_ur10.errors import ClosedError, SettingsError
-from dual_ur10.sim2real.cell.cell import CellConfig, CellState, Start, check_start
+from dual_ur10.sim2real.cell.cell import CellState, Start, check_start
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from ur_core.mjcf.torque_control import TorqueControl, Torques
 from ur_core.types import Array, Rows
 

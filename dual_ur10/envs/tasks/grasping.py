@@ -27,7 +27,8 @@ from dual_ur10.envs.tasks.observation_layout import (
 from dual_ur10.envs.tasks.staged import NowT, StagedTask
 from dual_ur10.envs.tasks.task import SettingsT, Timing
 from dual_ur10.errors import SettingsError
-from dual_ur10.sim2real.cell.cell import CellConfig, CellState, Start
+from dual_ur10.sim2real.cell.cell import CellState, Start
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from ur_core.kinematics.frames import Frames
 from ur_core.kinematics.poses import Poses
 from ur_core.tools.tool import strokes_m

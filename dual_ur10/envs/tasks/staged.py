@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from dual_ur10.envs.tasks.geometry import Number
 from dual_ur10.envs.tasks.task import MeasuredT, Outcome, SettingsT, Task, Timing
 from dual_ur10.errors import SettingsError
-from dual_ur10.sim2real.cell.cell import CellConfig, CellState
+from dual_ur10.sim2real.cell.cell import CellState
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from ur_core.types import Array, Mask, Rows
 
 NowT = TypeVar("NowT")

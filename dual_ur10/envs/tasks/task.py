@@ -13,7 +13,8 @@ import numpy as np
 from dual_ur10.assets.settings import Equipment, home_q_rad
 from dual_ur10.envs.tasks.observation_layout import ConciseView, ObservationLayout
 from dual_ur10.errors import SettingsError
-from dual_ur10.sim2real.cell.cell import CellConfig, CellState, Start
+from dual_ur10.sim2real.cell.cell import CellState, Start
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.control.limits import MotionLimits
 from ur_core.mjcf.gains import STIFF, Gains
 from ur_core.tools.tool import strokes_m

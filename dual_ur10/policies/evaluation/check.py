@@ -19,7 +19,7 @@ from dual_ur10.envs.core.options import AS_ON_CONTROLLERS
 from dual_ur10.errors import PolicyError, SettingsError
 from dual_ur10.policies.policy import Policy, as_policy
 from dual_ur10.policies.registry import env_id_beside
-from dual_ur10.sim2real.cell.cell import LATENCY_S, HostedCell
+from dual_ur10.sim2real.cell.cell_config import LATENCY_S, HostedCell
 from ur_core.kinematics.ur10 import ARMS
 from ur_core.types import Array
 

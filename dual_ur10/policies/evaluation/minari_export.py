@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from dual_ur10.errors import MissingExtraError, RecordingError
-from dual_ur10.sim2real.cell.cell import CellConfig
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.recording.header import mounts_of
 from dual_ur10.sim2real.recording.run import Episode, Header, Run
 from ur_core.kinematics.ur10 import ARMS

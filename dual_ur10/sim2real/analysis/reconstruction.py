@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from dual_ur10.envs.core.setup import load_task
 from dual_ur10.errors import CellFileError, DualUR10Error, RecordingError, SettingsError, UnknownNameError
 from dual_ur10.ids import TASKS, is_registered, received
-from dual_ur10.sim2real.cell.cell import CellConfig
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.cell.named_cell import resolve_cell
 from dual_ur10.sim2real.cell_file.cell_file import examine_text
 from dual_ur10.sim2real.recording.header import built, field_types, findings, mounts_of

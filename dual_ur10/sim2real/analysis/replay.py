@@ -23,7 +23,7 @@ from dual_ur10.sim2real.analysis.reconstruction import (
     keywords_of,
     resets_of,
 )
-from dual_ur10.sim2real.cell.cell import CellConfig
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.cell.named_cell import resolve_cell
 from dual_ur10.sim2real.recording.reader import file_of
 from dual_ur10.sim2real.recording.run import Episode, Run

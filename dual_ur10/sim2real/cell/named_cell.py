@@ -7,7 +7,7 @@ from typing import Final
 
 from dual_ur10.errors import UnknownNameError
 from dual_ur10.ids import discover
-from dual_ur10.sim2real.cell.cell import CellConfig, HostedCell
+from dual_ur10.sim2real.cell.cell_config import CellConfig, HostedCell
 from dual_ur10.sim2real.cell.cell_kinds import CELL_KINDS
 from ur_core.objects import load_object
 

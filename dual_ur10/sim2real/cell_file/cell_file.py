@@ -19,7 +19,7 @@ from pydantic import Field, PrivateAttr, ValidationError, model_validator
 from dual_ur10.assets.obstacles import Obstacle
 from dual_ur10.assets.settings import default_mount
 from dual_ur10.errors import CellFileError, SettingsError
-from dual_ur10.sim2real.cell.cell import CellConfig
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.cell.perturbation import Perturbation
 from dual_ur10.sim2real.cell_file.rules import inconsistencies
 from dual_ur10.sim2real.cell_file.tables import (

@@ -11,7 +11,7 @@ import numpy as np
 
 from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.sim2real.cell.cell import LEAST_DAMPING
+from dual_ur10.sim2real.cell.cell_config import LEAST_DAMPING
 from dual_ur10.sim2real.cell_file.tables import (
     LEVEL,
     ZERO,

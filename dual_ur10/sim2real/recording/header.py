@@ -19,7 +19,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from dual_ur10.errors import RecordingError, SettingsError, UnknownNameError
 from dual_ur10.ids import __version__
-from dual_ur10.sim2real.cell.cell import CellConfig
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.recording.run import Header, Mount, Servoj, Source
 from ur_core.findings import listed
 from ur_core.kinematics.frames import ArmMount

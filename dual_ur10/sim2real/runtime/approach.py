@@ -19,7 +19,7 @@ from ur_core.kinematics.ur10 import ARMS, JOINT_RANGE_RAD, JOINTS
 from ur_core.types import Array, Vector3
 
 if TYPE_CHECKING:
-    from dual_ur10.sim2real.cell.cell import CellConfig
+    from dual_ur10.sim2real.cell.cell_config import CellConfig
 
 SPEED_RAD_S: Final = 0.2
 TCP_SPEED_M_S: Final = 0.25

@@ -17,7 +17,8 @@ from typing import Any, Final, NoReturn
 import numpy as np
 
 from dual_ur10.errors import ClosedError, DualUR10Error, LinkError, SettingsError, StartError
-from dual_ur10.sim2real.cell.cell import CellConfig, CellRequest, CellState, CellStep, Start
+from dual_ur10.sim2real.cell.cell import CellRequest, CellState, CellStep, Start
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.cell.mirror_model import MirrorModel
 from dual_ur10.sim2real.cell_file.cell_file import CellFile
 from dual_ur10.sim2real.commissioning.operator_prompts import Confirm, prompt_for

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.errors import CellFaulted, ClosedError, LinkError, SettingsError, StartError
-from dual_ur10.sim2real.cell.cell import CellConfig
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.cell_file.cell_file import CellFile
 from dual_ur10.sim2real.commissioning.doctor import check_file
 from dual_ur10.sim2real.commissioning.findings import REST_RAD_S, Finding

@@ -16,7 +16,7 @@ import dual_ur10
 from dual_ur10 import errors, policies
 from dual_ur10.envs import dm_env, parallel_env
 from dual_ur10.envs.core.setup import load_task
-from dual_ur10.sim2real.cell.cell import CellConfig
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.cell.perturbation import Perturbation
 from tests import rollout_hashes
 from tests.soak import scaled

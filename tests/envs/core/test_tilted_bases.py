@@ -15,7 +15,8 @@ from dual_ur10.envs.sim.mujoco_cell import MujocoCell
 from dual_ur10.errors import SettingsError
 from dual_ur10.policies.scripted.base import on_table
 from dual_ur10.sim2real.analysis.tracks import flange_of
-from dual_ur10.sim2real.cell.cell import CellConfig, Start
+from dual_ur10.sim2real.cell.cell import Start
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.cell.perturbation import Perturbation
 from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.recording.header import _mount, _plain_mount

@@ -7,7 +7,7 @@ import pytest
 import dual_ur10  # noqa: F401  # registers the environments
 from dual_ur10.errors import ClosedError, SettingsError
 from dual_ur10.policies import load
-from dual_ur10.sim2real.cell.cell import CellConfig
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.recording.reader import read_run
 
 ID = "DualUR10/SineTracking-v0"

@@ -7,7 +7,8 @@ from dual_ur10.assets.settings import Equipment
 from dual_ur10.envs.sim.handling import LATENCY_S, GripperServos
 from dual_ur10.envs.sim.mujoco_cell import MujocoCell
 from dual_ur10.errors import ActionError, SettingsError
-from dual_ur10.sim2real.cell.cell import CellConfig, Start
+from dual_ur10.sim2real.cell.cell import Start
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.control.adapter import Command
 from tests.envs.sim.test_mujoco_cell import home
 from ur_core.tools.generic_140 import GENERIC_140

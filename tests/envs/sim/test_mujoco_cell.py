@@ -12,7 +12,8 @@ from dual_ur10.envs.sim.feedforward import FeedForward
 from dual_ur10.envs.sim.mujoco_cell import MujocoCell
 from dual_ur10.envs.sim.servo_reference import Motion, ServojReference, TargetDelay
 from dual_ur10.errors import ClosedError, SettingsError, UnknownNameError
-from dual_ur10.sim2real.cell.cell import CellConfig, Start
+from dual_ur10.sim2real.cell.cell import Start
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.cell.perturbation import Perturbation
 from dual_ur10.sim2real.control.adapter import Command
 from ur_core.kinematics import flange_pose

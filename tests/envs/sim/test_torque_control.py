@@ -14,7 +14,8 @@ from dual_ur10.assets.settings import default_mount, home_q_rad
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.sim.physics import Physics
 from dual_ur10.envs.sim.servo_reference import Motion
-from dual_ur10.sim2real.cell.cell import CellConfig, Perturbation, Start
+from dual_ur10.sim2real.cell.cell import Perturbation, Start
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from tests.soak import scaled
 from ur_core.kinematics.dynamics import inverse_dynamics, mass_matrix
 from ur_core.kinematics.robots import ROBOTS

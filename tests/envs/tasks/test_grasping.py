@@ -16,7 +16,8 @@ from dual_ur10.envs.tasks.staged import stage
 from dual_ur10.envs.tasks.task import SceneRequirements, Timing
 from dual_ur10.errors import SettingsError
 from dual_ur10.registration import register
-from dual_ur10.sim2real.cell.cell import CellConfig, CellState
+from dual_ur10.sim2real.cell.cell import CellState
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.control.limits import MotionLimits
 from ur_core.kinematics.forward import flange_pose_quat
 from ur_core.kinematics.frames import Frames

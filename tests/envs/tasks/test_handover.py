@@ -6,7 +6,7 @@ from dual_ur10.envs.core.core import Core
 from dual_ur10.envs.tasks.handover.goals import WIDTH_M
 from dual_ur10.envs.tasks.handover.settings import GRIPS, HandoverSettings, block_pose, laid_quat, presented_quat
 from dual_ur10.envs.tasks.handover.task import Handover, facts_of
-from dual_ur10.sim2real.cell.cell import CellConfig
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from tests.soak import scaled
 from ur_core.kinematics import flange_pose_quat
 from ur_core.kinematics.frames import ArmMount

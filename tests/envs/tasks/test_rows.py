@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dual_ur10.envs.tasks import geometry
-from dual_ur10.sim2real.cell.cell import CellConfig
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from ur_core.kinematics import frames, poses, rotations
 from ur_core.kinematics.poses import Poses
 

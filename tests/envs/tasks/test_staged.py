@@ -12,7 +12,7 @@ from dual_ur10.envs.tasks.observation_layout import ARM_FIELDS, ObservationLayou
 from dual_ur10.envs.tasks.staged import StagedTask, stage, term
 from dual_ur10.envs.tasks.task import Timing
 from dual_ur10.errors import SettingsError
-from dual_ur10.sim2real.cell.cell import CellConfig
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.control.limits import MotionLimits
 
 N, STAGES = 4, 3

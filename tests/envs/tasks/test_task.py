@@ -16,7 +16,7 @@ from dual_ur10.envs.tasks.sine_tracking.settings import (
     sample_path,
 )
 from dual_ur10.envs.tasks.task import gaussian
-from dual_ur10.sim2real.cell.cell import CellConfig
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from ur_core.kinematics import flange_pose
 from ur_core.kinematics.frames import ArmMount, Frames, to_base
 from ur_core.kinematics.rotations import quat_from_rotvec, quat_to_matrix

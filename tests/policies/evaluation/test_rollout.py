@@ -10,7 +10,7 @@ import numpy as np
 
 import dual_ur10  # noqa: F401 - registers the ids
 from dual_ur10.policies.evaluation.rollout import rollout
-from dual_ur10.sim2real.cell.cell import CellConfig
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 
 
 class Still:

@@ -11,7 +11,7 @@ from dual_ur10.policies.policy import Policy
 from dual_ur10.policies.scripted.free_motion import FreeMotion, Waypoint
 from dual_ur10.policies.scripted.handover import HandoverPolicy
 from dual_ur10.policies.scripted.handover_paths import HandoverPaths
-from dual_ur10.sim2real.cell.cell import CellConfig
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.cell.perturbation import TYPICAL_PERTURBATION
 from tests.soak import SOAK, scaled
 from ur_core.kinematics.frames import ArmMount

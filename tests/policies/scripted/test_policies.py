@@ -13,7 +13,7 @@ from dual_ur10.envs.sim.mujoco_cell import MujocoCell
 from dual_ur10.envs.tasks.sine_tracking.task import SineTracking
 from dual_ur10.envs.tasks.sync_carry.task import SyncCarry
 from dual_ur10.policies.scripted.lag_model import DeviationModel
-from dual_ur10.sim2real.cell.cell import CellConfig
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.cell.perturbation import TYPICAL_PERTURBATION
 from dual_ur10.sim2real.control.limits import Envelope
 from tests.soak import SOAK

@@ -14,7 +14,7 @@ from dual_ur10.assets.collision_model import clearance_pairs
 from dual_ur10.assets.obstacles import Box
 from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.errors import CellFileError, RateError, SettingsError, UnknownNameError
-from dual_ur10.sim2real.cell.cell import LATENCY_S, CellConfig
+from dual_ur10.sim2real.cell.cell_config import LATENCY_S, CellConfig
 from dual_ur10.sim2real.cell.named_cell import resolve_cell
 from dual_ur10.sim2real.cell.perturbation import TYPICAL_PERTURBATION
 from dual_ur10.sim2real.control.clearance import Clearance

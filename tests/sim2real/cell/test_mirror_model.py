@@ -9,7 +9,7 @@ from dual_ur10 import ENV_IDS
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.sim.mujoco_cell import MujocoCell
 from dual_ur10.errors import UnknownNameError
-from dual_ur10.sim2real.cell.cell import CellConfig
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.cell.mirror_model import MirrorModel
 from dual_ur10.sim2real.control.adapter import Command
 from ur_core.kinematics.poses import Poses

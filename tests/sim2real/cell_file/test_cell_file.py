@@ -23,7 +23,7 @@ from dual_ur10.assets.settings import Equipment, SceneSettings
 from dual_ur10.emulated.cell_emulator import CellEmulator, CellOptions, write_cell_file
 from dual_ur10.envs.api.dual_arm_env import DualArmEnv
 from dual_ur10.errors import CellFileError, DualUR10Error, SettingsError
-from dual_ur10.sim2real.cell.cell import CellConfig
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.cell.perturbation import Perturbation
 from dual_ur10.sim2real.cell_file import cell_file as module
 from dual_ur10.sim2real.cell_file.cell_file import CellFile, examine_text, keys, load_cell_file

@@ -15,7 +15,7 @@ from dual_ur10.assets.scene import build_model
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.envs.tasks.handover.settings import GRIPS
 from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings
-from dual_ur10.sim2real.cell.cell import CellConfig
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from tests.sim2real.control.reference_cell import random_q, segment
 from ur_core.kinematics.poses import Poses
 from ur_core.kinematics.rotations import quat_to_matrix

@@ -12,9 +12,8 @@ from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
 from dual_ur10.sim2real.control.adapter import TCP_STEP_M_S, ServojAdapter
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.gate import SWEEP_TOLERANCE_M, SafetyGate
-from dual_ur10.sim2real.control.leading import MARGIN_M
 from dual_ur10.sim2real.control.limits import MotionLimits
-from dual_ur10.sim2real.control.pipeline import ServojPipeline
+from dual_ur10.sim2real.control.pipeline import MARGIN_M, ServojPipeline
 from tests.sim2real.control.motion_checks import HARD, TIGHT, AlwaysClear, assert_within, braked
 from ur_core.kernel import call
 from ur_core.kinematics import flange_pose

@@ -205,7 +205,7 @@ def test_events_are_in_the_record_and_in_the_log(tmp_path):
 
 
 def _config():
-    from dual_ur10.sim2real.cell.cell import CellConfig
+    from dual_ur10.sim2real.cell.cell_config import CellConfig
 
     return CellConfig()
 

@@ -12,7 +12,7 @@ import pytest
 
 from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
 from dual_ur10.errors import StartError
-from dual_ur10.sim2real.cell.cell import CellConfig
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance, PairDistances
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import MotionLimits

@@ -26,7 +26,8 @@ from dual_ur10.envs.tasks.observation_layout import (
     wrench_values,
 )
 from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Task, Timing
-from dual_ur10.sim2real.cell.cell import CellConfig, CellState, Start
+from dual_ur10.sim2real.cell.cell import CellState, Start
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.control.limits import MotionLimits
 from ur_core.kinematics.frames import Frames
 from ur_core.kinematics.poses import Poses, relative_to

@@ -29,7 +29,8 @@ from dual_ur10.envs.tasks.observation_layout import (
 )
 from dual_ur10.envs.tasks.staged import Progress, StagedTask, stage
 from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Timing, duration_ratio
-from dual_ur10.sim2real.cell.cell import CellConfig, CellState, Start
+from dual_ur10.sim2real.cell.cell import CellState, Start
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.control.limits import MotionLimits, reach_from_joint_m
 from ur_core.kinematics.poses import Poses
 from ur_core.kinematics.rotations import rotate

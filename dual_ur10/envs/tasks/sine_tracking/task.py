@@ -26,7 +26,8 @@ from dual_ur10.envs.tasks.sine_tracking.settings import (
     sample_path,
 )
 from dual_ur10.envs.tasks.task import Outcome, Task, Timing, gaussian
-from dual_ur10.sim2real.cell.cell import CellConfig, CellState, Start
+from dual_ur10.sim2real.cell.cell import CellState, Start
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.control.limits import MotionLimits
 from ur_core.kinematics import nearest
 from ur_core.kinematics.frames import Frames

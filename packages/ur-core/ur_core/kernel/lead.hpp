@@ -1,4 +1,4 @@
-// Motion led along what the safety gate would refuse; see `dual_ur10.sim2real.control.leading`.
+// Motion led along what the safety gate would refuse; see `dual_ur10.sim2real.control.pipeline`.
 #pragma once
 
 #include "adapter.hpp"

@@ -22,17 +22,17 @@ import numpy as np
 import psutil
 
 ROOT = pathlib.Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT))  # the driver is that of the tests
+sys.path.insert(0, str(ROOT / "packages" / "ur-emulator"))  # the driver is that of its tests
 
 from dual_ur10.emulated.emulated_cell import EmulatedCell
-from tests.external_control import SCALE, Driver, Mode, Result
+from tests.ur_emulator.external_control import SCALE, Driver, Mode, Result
 from ur_core.kinematics.ur10 import ARMS, TICK_S
 from ur_core.links.rtde_link import RtdeLink
 from ur_core.processes.system import LOCAL
 from ur_core.protocol.modes import RuntimeState
 from ur_emulator.controller.profile import profile_of
 
-OWN = ROOT / "tests" / "ur_emulator" / "external_control.urscript"
+OWN = ROOT / "packages" / "ur-emulator" / "tests" / "ur_emulator" / "external_control.urscript"
 POINTS, SEGMENT_S, STEP_RAD = 10, 0.5, -0.02  # away from the table
 STATE = (
     "timestamp",

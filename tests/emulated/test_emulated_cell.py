@@ -1,6 +1,5 @@
 """Process of an emulated cell: start, refused options, and its end in all cases."""
 
-import contextlib
 import dataclasses
 import os
 import re
@@ -22,6 +21,7 @@ from dual_ur10.emulated.emulated_cell import EmulatedCell
 from dual_ur10.errors import DualUR10Error
 from dual_ur10.sim2real.cell_file.cell_file import load_cell_file
 from tests.emulated.ticking import Cell
+from tests.ur_emulator.served import served
 from ur_core.errors import AddressError, ClosedError, EmulatorError, SettingsError, UnknownNameError
 from ur_core.tools.generic_140 import GENERIC_140
 from ur_emulator import emulated_controller
@@ -254,29 +254,6 @@ def test_help():
     assert code == 0
     for word in ("left", "right", "family", "task", "tool", "cell", "plant", "dh-error-mm", "seed", "view"):
         assert f"--{word}" in text
-
-
-@contextlib.contextmanager
-def served(*arguments):
-    """Run a command that serves, and yield the lines that it prints. Ctrl-C has to end it well."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", *arguments],
-        env=ENVIRONMENT, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    try:
-        lines = []
-        while not lines or "Ctrl-C" not in lines[-1]:
-            lines.append(process.stdout.readline())
-            assert lines[-1], (lines, process.stderr.read())
-        yield lines
-        os.kill(process.pid, signal.SIGINT)
-        rest, errors = process.communicate(timeout=30.0)
-        assert process.returncode == 0
-        assert rest == "ended\n"
-        assert "Traceback" not in errors
-    finally:
-        process.kill()
-        process.communicate()
 
 
 def test_ctrl_c_ends_it_well(tmp_path):

@@ -3,7 +3,7 @@
 import pytest
 
 from dual_ur10.testing import VirtualCell
-from tests.sim2real.cells import restored
+from tests.ur_emulator.restored import restored
 
 
 @pytest.fixture(scope="module")

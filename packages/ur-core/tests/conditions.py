@@ -51,13 +51,13 @@ def pytest_runtest_setup(item):
         np.random.bit_generator.randbits = random.Random(0).getrandbits
 
 
-_STARTERS = {"EmulatedCell", "CellForTests", "EmulatedController", "Lab", "measure_emulated"}
+_STARTERS = {"EmulatedCell", "CellForTests", "EmulatedController", "EmulatedPair", "Lab", "measure_emulated"}
 _STARTERS |= {"emulated_cell", "ur_controller"}
 """Names of what starts emulated controllers."""
 
 
 def pytest_addoption(parser):
-    group = parser.getgroup("conformance", "controllers that tests/conformance talks to")
+    group = parser.getgroup("conformance", "controllers that the conformance tests talk to")
     group.addoption("--host", help="address of a UR controller or URSim; without it, emulated ones are started")
     group.addoption("--family", choices=("cb3", "e-series"), help="its family; without --host, only this one is tested")
     group.addoption("--moves", action="store_true", help="let the arm at --host move and be stopped, too")

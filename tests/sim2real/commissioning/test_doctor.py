@@ -30,7 +30,7 @@ from dual_ur10.sim2real.commissioning.findings import (
     tool_findings,
 )
 from dual_ur10.testing import VirtualCell
-from tests.sim2real.statuses import status_of
+from tests.ur_emulator.statuses import status_of
 from ur_core.kinematics.robots import MODEL_OF_FAMILY
 from ur_core.kinematics.ur10 import DH_A_M, NOMINAL_DH, nominal_dh
 from ur_core.links.primary_link import PrimaryFacts

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from dual_ur10.errors import SettingsError
 from dual_ur10.sim2real.runtime.arm_memory import RING, ArmMemory, Phase
-from tests.sim2real.statuses import status_of
+from tests.ur_emulator.statuses import status_of
 from ur_core.processes.shared_memory import SharedBlock
 
 

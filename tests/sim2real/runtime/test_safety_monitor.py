@@ -21,7 +21,7 @@ from dual_ur10.sim2real.runtime.safety_monitor import (
     MonitorSettings,
     SafetyMonitor,
 )
-from tests.sim2real.statuses import status_of
+from tests.ur_emulator.statuses import status_of
 from ur_core.kinematics.forward import flange_pose, flange_pose_quat
 from ur_core.kinematics.frames import ArmMount, Frames
 from ur_core.kinematics.inverse import try_nearest

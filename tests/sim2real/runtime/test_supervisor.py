@@ -19,7 +19,7 @@ from dual_ur10.sim2real.runtime.latch import Latch
 from dual_ur10.sim2real.runtime.safety_monitor import MonitorSettings
 from dual_ur10.sim2real.runtime.stop_enforcer import STOPPED_S, StopEnforcer
 from dual_ur10.sim2real.runtime.supervisor import Supervisor
-from tests.sim2real.statuses import status_of
+from tests.ur_emulator.statuses import status_of
 
 TEXT = 'kind = "emulated"\n[left]\nhost = "127.0.0.2"\n[right]\nhost = "127.0.0.3"\n'
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dual_ur10.sim2real.runtime.tracking import DEVIATION_RAD, Deviation, Following, PayloadWarning, Tracking
-from tests.sim2real.statuses import status_of
+from tests.ur_emulator.statuses import status_of
 from ur_core.kinematics.ur10 import JOINTS
 from ur_core.servoj import ServojLaw, ServojProfile
 

@@ -12,11 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dual_ur10.assets.scene import build_model
-from dual_ur10.emulated.cell_emulator import CellOptions, cell_of
-from tests.emulated.ticking import Cell
 from tests.soak import scaled
-from tests.ur_emulator.ticking import program
+from tests.ur_emulator.ticking import Lone, program
 from ur_core.kinematics import dynamics
 from ur_core.kinematics.dynamics import inverse_dynamics, mass_matrix
 from ur_core.kinematics.robots import ROBOTS
@@ -29,11 +26,11 @@ ROBOT = ROBOTS["ur10e"]
 HOLD = "while True:\n  direct_torque([0, 0, 0, 0, 0, 0])\nend"
 
 
-class Arm(Cell):
-    """The left arm of an emulated pair of UR10e, which runs a program."""
+class Arm(Lone):
+    """Emulated UR10e, or UR10, which runs a program."""
 
     def __init__(self, body: str = "", *, polyscope: str = "5.26") -> None:
-        super().__init__(polyscope=polyscope)
+        super().__init__(robot="ur10" if polyscope.startswith("3") else "ur10e", polyscope=polyscope)
         self.server = self.emulator.servers[0]
         self.controller = self.server.controller
         self.home = self.q
@@ -309,10 +306,9 @@ def test_a_program_may_define_a_function_that_its_version_lacks():
 
 
 def test_the_controller_knows_the_dynamics_of_the_simulated_arm(arm):
-    """Compare with MuJoCo's own mass matrix, bias forces and Jacobian of the cell."""
+    """Compare with MuJoCo's own mass matrix, bias forces and Jacobian."""
     q, qd = arm.home + 0.1, np.array([0.5, -0.4, 0.3, 0.9, -0.7, 0.6])
-    model = build_model(cell_of(CellOptions(polyscope="5.26")).scene, visuals=False)
-    data = mujoco.MjData(model)
+    model, data = arm.emulator.world.draw()
     data.qpos[:6], data.qvel[:6] = q, qd
     mujoco.mj_forward(model, data)
     full = np.zeros((model.nv, model.nv))

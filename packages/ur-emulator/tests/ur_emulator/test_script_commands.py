@@ -4,12 +4,12 @@ import struct
 
 import pytest
 
-from dual_ur10.testing import VirtualCell
+from tests.ur_emulator.pairs import VirtualPair
 
 
 @pytest.fixture(scope="module")
 def cell():
-    with VirtualCell(family="e-series") as cell:
+    with VirtualPair(robot="ur10e") as cell:
         yield cell
 
 

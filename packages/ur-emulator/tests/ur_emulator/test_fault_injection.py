@@ -13,9 +13,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.emulated.ticking import Cell
 from tests.soak import SOAK, scaled
 from tests.ur_emulator import rtde_bytes
+from tests.ur_emulator.pairs import Pair
 from tests.ur_emulator.ticking import program
 from tests.waiting import until
 from ur_core.kinematics import flange_pose
@@ -24,7 +24,7 @@ from ur_core.protocol.modes import RobotMode
 from ur_emulator.injection.link_faults import LinkFaults
 from ur_emulator.script import parse
 
-DOCS = Path(__file__).parents[2] / "docs" / "reference" / "emulator.md"
+DOCS = Path(__file__).parents[4] / "docs" / "reference" / "emulator.md"
 REQUESTS = sorted(
     ["info", "state", "pose", "place", "set_joints", "setpoints", "received", "clients", "stop", "release", "reduce",
      "press", "slider", "remote", "input", "program", "push", "link", "heal", "drop", "refuse", "override", "watchdog",
@@ -34,14 +34,7 @@ REQUESTS = sorted(
 
 @pytest.fixture
 def cell():
-    made = Cell()
-    yield made
-    made.close()
-
-
-@pytest.fixture(scope="module")
-def carry():
-    made = Cell(task="Handover")
+    made = Pair()
     yield made
     made.close()
 
@@ -90,7 +83,7 @@ def packets(stream):
 def test_the_documentation_lists_all_requests():
     text = DOCS.read_text().split("## Fault injection")[1].split("\n##")[0]
     listed = [row.split() for row in re.findall(r"^\| `([^`]+)` \|", text, re.MULTILINE)]
-    cell = Cell()
+    cell = Pair()
     try:
         there = cell.emulator._injection._requests
         assert sorted(each[0] for each in listed) == sorted(there) == REQUESTS
@@ -112,7 +105,7 @@ def test_info(cell):
     assert info["physics_failed"] is False
     assert info["cpu_s"] > 0.0
     assert info["plant"] == {}
-    mild = Cell(plant="mild", seed=3)
+    mild = Pair(plant="mild", seed=3)
     assert "lookahead_scale" in mild.get("info")["plant"]
     mild.close()
 
@@ -145,48 +138,6 @@ def test_state(cell):
 )
 def test_refusals_name_found_and_allowed_values(cell, do, values, text):
     assert re.search(text, cell.refused(do, **values))
-
-
-def test_pose_has_noise_and_is_late(carry):
-    def place(x):
-        carry.get("place", position_m=[x, 0.0, 1.0], quat=[1.0, 0.0, 0.0, 0.0])
-
-    def x(**values):
-        return carry.get("pose", body="block", **values)["position_m"][0]
-
-    place(0.1)
-    carry.tick()
-    assert x() == pytest.approx(0.1, abs=1e-3)
-    x(delay_s=0.1)  # from now on it is remembered
-    carry.tick(40)
-    place(0.4)
-    carry.tick(5)
-    assert x() == pytest.approx(0.4, abs=0.02)
-    assert x(delay_s=0.1) == pytest.approx(0.1, abs=0.02)
-    carry.tick(15)
-    assert x(delay_s=0.1) == pytest.approx(0.4, abs=0.02)
-    seen = np.array([carry.get("pose", body="block", noise_m=0.01, noise_rad=0.1)["quat"] for _ in range(200)])
-    assert np.allclose(np.linalg.norm(seen, axis=1), 1.0)
-    assert 0.03 < seen[:, 1].std() < 0.07  # half the angle
-    xs = [x(noise_m=0.01) for _ in range(200)]
-    assert 0.007 < np.std(xs) < 0.013
-    for bad in ({"noise_m": -1}, {"noise_rad": 9}, {"delay_s": 3}, {"delay_s": float("nan")}):
-        assert "allowed" in carry.refused("pose", body="block", **bad)
-    assert "'block'" in carry.refused("pose", body="blok")
-
-
-def test_place(carry, cell):
-    carry.get("place", position_m=[0.2, 0.1, 0.9], quat=[0.0, 0.0, 0.0, 1.0])
-    carry.tick()
-    pose = carry.get("pose", body="block")
-    assert pose["position_m"] == pytest.approx([0.2, 0.1, 0.9], abs=2e-3)
-    assert abs(pose["quat"][3]) == pytest.approx(1.0, abs=1e-3)
-    for bad in ([0.0, 0.0], [np.nan, 0.0, 0.0], [1e300, 0.0, 0.0], ["x", 0.0, 0.0]):
-        carry.refused("place", position_m=bad, quat=[1.0, 0.0, 0.0, 0.0])
-    carry.refused("place", position_m=[0.0, 0.0, 1.0], quat=[1.0, 1.0, 0.0, 0.0])
-    carry.tick(50)
-    assert not carry.emulator.world.failed
-    assert "no object" in cell.refused("place", position_m=[0.0, 0.0, 1.0], quat=[1.0, 0.0, 0.0, 0.0])
 
 
 def test_a_hand_pushes_an_arm_for_a_time_and_only_a_compliant_one_yields(cell):
@@ -304,8 +255,8 @@ def test_clients_are_counted(cell):
         assert len(found["primary"]) == 1
         assert found["rtde"][0]["data_packages"] == 2
         assert found["rtde"][0]["dropped"] == 0
-    cell.serve(2)
-    assert all(each == [] for each in cell.get("clients", arm="left").values())
+    # The process that compiles programs holds copies of the connections while it starts.
+    until(lambda: cell.serve() or all(each == [] for each in cell.get("clients", arm="left").values()))
 
 
 def test_stop_release_and_reduce(cell):
@@ -374,7 +325,7 @@ def test_slider_and_input(cell):
 
 
 def test_remote_control_of_an_e_series():
-    cell = Cell(family="e-series")
+    cell = Pair(robot="ur10e")
     try:
         controller = cell.emulator.servers[0].controller
         cell.get("remote", arm="left", on=False)
@@ -453,7 +404,6 @@ def test_drop_and_refuse(cell, reset):
     with Client(cell, 0, "realtime") as client, Client(cell, 1, "realtime") as other:
         cell.get("drop", arm="left", port="realtime", reset=reset)
         ends = []
-        # The process that compiles programs holds a copy of the connection while it starts.
         until(lambda: ends.append(client.read()) or ends[-1] in (b"", "reset"))
         assert ends[-1] == ("reset" if reset else b"")
         assert other.read()
@@ -672,7 +622,7 @@ def requests(draw):
 
 @pytest.fixture(scope="module")
 def fuzzed():
-    made = Cell(task="Handover")
+    made = Pair()
     yield made
     made.close()
 

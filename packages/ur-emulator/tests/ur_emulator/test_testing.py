@@ -1,5 +1,6 @@
 """The page of the emulator: its fixture in another project, and its example of `ur_rtde`."""
 
+import importlib.util
 import os
 import re
 import subprocess
@@ -8,7 +9,9 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[4]
+ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+SUITE = importlib.util.find_spec("dual_ur10") is not None
 CLIENT, CONFTEST, TESTS = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "emulator.md").read_text(), re.DOTALL)
 MORE = """
 import os
@@ -38,13 +41,12 @@ def test_an_option_has_a_name(ur_controller):
 @pytest.mark.emulated
 def test_the_documented_fixture_runs_in_another_project(tmp_path):
     # Beside the fixtures of cells, which are a plugin, too.
-    (tmp_path / "conftest.py").write_text(CONFTEST.replace("[", '["dual_ur10.testing", '))
+    (tmp_path / "conftest.py").write_text(CONFTEST.replace("[", '["dual_ur10.testing", ' if SUITE else "["))
     (tmp_path / "test_it.py").write_text(TESTS + MORE)
     (tmp_path / "pytest.ini").write_text("[pytest]\n")  # settings of no folder above
     command = [sys.executable, "-m", "pytest", "-q", "--strict-markers", "-p", "no:cacheprovider", "-W", "error"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     found = subprocess.run(
-        [*command, str(tmp_path)], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=240
+        [*command, str(tmp_path)], cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True, timeout=240
     )
     assert "3 passed, 1 error" in found.stdout, found.stdout + found.stderr
     assert "the marker ur_controller has ('ur3',): name each option, as in robot='ur3e'" in found.stdout
@@ -54,8 +56,7 @@ def test_the_documented_fixture_runs_in_another_project(tmp_path):
 @pytest.mark.real_time
 def test_the_documented_client_moves_the_arm(tmp_path):
     pytest.importorskip("rtde_control")
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-c", CLIENT]
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120)
+    done = subprocess.run(command, cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
     assert float(done.stdout) == pytest.approx(0.5, abs=2e-3)

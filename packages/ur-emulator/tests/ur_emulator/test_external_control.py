@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dual_ur10.emulated.emulated_cell import EmulatedCell
-from tests.external_control import PORTS, Driver, Mode, Point, Result
+from tests.ur_emulator.external_control import PORTS, Driver, Mode, Point, Result
 from tests.ur_emulator.ticking import PLAYS, Bench
 from tests.waiting import until
 from ur_core.processes.system import LOCAL
 from ur_emulator.controller.profile import profile_of
+from ur_emulator.emulated_controller import EmulatedController
 from ur_emulator.ports.addresses import free_address
 from ur_emulator.virtual.virtual_system import VirtualProcess, VirtualSystem, World
 
@@ -186,22 +186,22 @@ def test_a_trajectory_over_tcp_by_a_program_file(tmp_path):
     driver.timeout_s = 0.0
     script = driver.script(TEMPLATE, profile_of("cb3").version)
     (tmp_path / "external_control.script").write_text(script)
-    with EmulatedCell(plant="nominal", programs=str(tmp_path)) as cell:
-        with socket.create_connection((cell.left, 29999)) as client, client.makefile("rw") as lines:
+    with EmulatedController("ur10", plant="nominal", programs=str(tmp_path)) as controller:
+        with socket.create_connection((controller.host, 29999)) as client, client.makefile("rw") as lines:
             assert lines.readline().startswith("Connected")
             for line, answer in (("load external_control.urp", "Loading program"), ("play", "Starting program")):
                 lines.write(f"{line}\n")
                 lines.flush()
                 assert lines.readline().startswith(answer)
         until(lambda: driver.serve() or driver.connected)
-        start = np.array(cell.ask("state", arm="left", names=["actual_q"])["actual_q"])
+        start = np.array(controller.ask("state", names=["actual_q"])["actual_q"])
         driver.start(2)
         for k in (1, 2):
             driver.spline(start - 0.05 * k, [-0.1 * (k < 2)] * 6, 0.5)
         until(lambda: driver.result() is not None)
-        end = np.array(cell.ask("state", arm="left", names=["actual_q"])["actual_q"])
+        end = np.array(controller.ask("state", names=["actual_q"])["actual_q"])
         np.testing.assert_allclose(end, start - 0.1, atol=1e-3)
         driver.write(Mode.STOPPED)
-        cell.wait_until("left", "runtime_state", 1)
+        controller.wait_for("runtime_state", 1)
         until(driver.ended)
     driver.close()

@@ -4,8 +4,7 @@ import socket
 
 import pytest
 
-from dual_ur10.emulated.cell_emulator import CellEmulator, CellOptions
-from tests.emulated.ticking import Cell
+from tests.ur_emulator.pairs import Pair
 from ur_core.errors import AddressError
 from ur_emulator.ports import addresses
 from ur_emulator.ports.addresses import PORTS, checked_address, free_address, is_free
@@ -24,15 +23,15 @@ def test_other_addresses_are_refused(host, check):
 
 @pytest.mark.parametrize("arm", ["left", "right"])
 @pytest.mark.parametrize("host", ["0.0.0.0", "localhost", "::1"])
-def test_a_cell_does_not_start_elsewhere(arm, host):
+def test_controllers_do_not_start_elsewhere(arm, host):
     with pytest.raises(AddressError, match=r"127\.0\.0\.0/8"):
-        CellEmulator(CellOptions(**{arm: host}))
+        Pair(**{arm: host})
 
 
 def test_both_arms_need_an_address():
     host = free_address()
     with pytest.raises(AddressError, match=f"both arms have the address {host}"):
-        CellEmulator(CellOptions(left=host, right=host))
+        Pair(left=host, right=host)
     assert is_free(host)
 
 
@@ -80,31 +79,31 @@ def test_the_search_reports_a_single_loopback_address(monkeypatch):
         free_address()
 
 
-def test_a_cell_that_does_not_start_holds_no_address():
+def test_an_emulator_that_does_not_start_holds_no_address():
     left, right = free_address(), free_address()
     with socket.create_server((right, PORTS["rtde"])):
         with pytest.raises(AddressError, match=f"{right}:30004 is taken"):
-            CellEmulator(CellOptions(left=left, right=right))
+            Pair(left=left, right=right)
         assert is_free(left)
 
 
-def test_a_cell_uses_and_frees_its_addresses():
+def test_an_emulator_uses_and_frees_its_addresses():
     left, right = free_address(), free_address()
-    cell = Cell(left=left, right=right)
+    cell = Pair(left=left, right=right)
     try:
         assert [server.host for server in cell.emulator.servers] == [left, right]
         assert not is_free(left)
         assert not is_free(right)
         with pytest.raises(AddressError, match=f"{left}:.* is taken"):
-            Cell(left=left)
+            Pair(left=left)
     finally:
         cell.close()
     assert is_free(left)
     assert is_free(right)
 
 
-def test_two_cells_find_different_addresses():
-    first, second = Cell(), Cell()
+def test_two_emulators_find_different_addresses():
+    first, second = Pair(), Pair()
     try:
         hosts = {server.host for cell in (first, second) for server in cell.emulator.servers}
         assert len(hosts) == 4

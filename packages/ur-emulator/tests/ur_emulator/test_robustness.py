@@ -16,13 +16,13 @@ from pathlib import Path
 import psutil
 import pytest
 
-from dual_ur10.emulated.emulated_cell import EmulatedCell
 from tests.soak import scaled
 from tests.ur_emulator import rtde_bytes
+from tests.ur_emulator.pairs import EmulatedPair
 from tests.ur_emulator.ticking import COUNT, program
 from ur_core.protocol.modes import RuntimeState
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[2]  # of the tests of this package
 PORTS = (29999, 30001, 30002, 30003, 30004)
 TICK_S = 0.008
 SERVE = program(COUNT + "q = get_actual_joint_positions()\nwhile True:\n  servoj(q, t=0.008)\nend")
@@ -77,7 +77,7 @@ class Watcher:
 
 @pytest.fixture(scope="module")
 def cell():
-    with EmulatedCell(plant="nominal") as made:
+    with EmulatedPair() as made:
         with client(made, 30003) as scripts:
             scripts.sendall(program("sync()").encode())
             # By then the process that compiles programs has started, with a file of its own.

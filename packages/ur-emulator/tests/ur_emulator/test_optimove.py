@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.emulated.test_direct_torque import TICK_S, Arm
 from tests.soak import scaled
+from tests.ur_emulator.test_direct_torque import TICK_S, Arm
 from ur_core.kinematics.dynamics import inverse_dynamics
 from ur_core.kinematics.robots import ROBOTS
 from ur_core.kinematics.ur10 import nominal_dh

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dual_ur10.emulated.emulated_cell import EmulatedCell
+from ur_emulator.emulated_controller import EmulatedController
 
 SOURCE = Path(sys.prefix) / "sdist" / "ur_rtde-1.6.5.tar.gz"
 START = [-1.54, -1.83, -2.28, -0.59, 1.60, 0.023]
@@ -36,30 +36,30 @@ def examples(tmp_path_factory):
 
 
 @pytest.fixture(scope="module", params=["5.12"])
-def cell(request):
-    """Cell of one PolyScope version; a module has one at a time."""
+def controller(request):
+    """One of one PolyScope version; a module has one at a time."""
     # 127.0.0.1 is one address for all that run at the same time.
     with (Path(tempfile.gettempdir()) / f"dual_ur10-127.0.0.1-{os.getuid()}.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        with EmulatedCell(left="127.0.0.1", polyscope=request.param, plant="nominal") as cell:
-            yield cell
+        with EmulatedController("ur10e", host="127.0.0.1", polyscope=request.param, plant="nominal") as controller:
+            yield controller
 
 
-def run(cell, examples, name, timeout=90):
-    cell.wait_until("left", "robot_mode", 7)
-    before = cell.ask("state", arm="left", names=["actual_q"])["actual_q"]
+def run(controller, examples, name, timeout=90):
+    controller.wait_for("robot_mode", 7)
+    before = controller.ask("state", names=["actual_q"])["actual_q"]
     command = [sys.executable, str(examples / name)]
     done = subprocess.run(command, cwd=examples, capture_output=True, text=True, timeout=timeout, check=False)
     assert done.returncode == 0, done.stderr
-    state = cell.ask("state", arm="left")
+    state = controller.ask("state")
     assert state["safety_mode"] == 1
     return np.array(before), state, done.stdout
 
 
-def test_servoj(cell, examples):
-    first = cell.ask("setpoints", arm="left")["count"]
-    _, state, _ = run(cell, examples, "servoj_example.py")
-    setpoints = cell.setpoints("left", first)
+def test_servoj(controller, examples):
+    first = controller.ask("setpoints")["count"]
+    _, state, _ = run(controller, examples, "servoj_example.py")
+    setpoints = controller.setpoints(controller.robot, first)
     turned = np.array([each[1] for each in setpoints])[:, :2] - START[:2]
     assert (np.diff(turned, axis=0) >= 0).all()  # in order
     assert len(setpoints) > 300
@@ -70,77 +70,77 @@ def test_servoj(cell, examples):
     assert state["runtime_state"] == 1
 
 
-def test_speedj(cell, examples):
-    _, state, _ = run(cell, examples, "speedj_example.py")
+def test_speedj(controller, examples):
+    _, state, _ = run(controller, examples, "speedj_example.py")
     moved = np.array(state["actual_q"]) - START
     assert np.allclose(moved[:2], moved[0], atol=1e-3)  # both joints alike
     assert 0.3 < moved[0] < 1.5
     assert np.allclose(moved[2:], 0.0, atol=1e-4)
 
 
-def test_force_mode(cell, examples):
+def test_force_mode(controller, examples):
     # What pushes it down for half of the time pushes it up for the other half.
-    before = cell.ask("setpoints", arm="left")["count"]
-    _, state, _ = run(cell, examples, "forcemode_example.py")
+    before = controller.ask("setpoints")["count"]
+    _, state, _ = run(controller, examples, "forcemode_example.py")
     assert np.allclose(state["actual_q"], START, atol=0.05)
-    assert cell.ask("setpoints", arm="left")["count"] == before
+    assert controller.ask("setpoints")["count"] == before
 
 
-def test_moves_that_are_stopped(cell, examples):
-    before, state, _ = run(cell, examples, "move_async_example.py")
+def test_moves_that_are_stopped(controller, examples):
+    before, state, _ = run(controller, examples, "move_async_example.py")
     assert np.allclose(state["actual_q"], before, atol=1e-4)
 
 
-def test_path_with_progress(cell, examples):
-    _, state, output = run(cell, examples, "move_path_async_example.py")
+def test_path_with_progress(controller, examples):
+    _, state, output = run(controller, examples, "move_path_async_example.py")
     assert np.allclose(state["actual_TCP_pose"], [-0.14, -0.4, 0.1, 0, 3.14, 0], atol=1e-4)
     assert "Path finished!" in output
     assert "Async path finished..." in output
     assert output.count("Moving to path waypoint") >= 3
 
 
-def test_path_with_blends(cell, examples):
-    _, state, _ = run(cell, examples, "movel_path_with_blend_example.py")
+def test_path_with_blends(controller, examples):
+    _, state, _ = run(controller, examples, "movel_path_with_blend_example.py")
     assert np.allclose(state["actual_TCP_pose"], [-0.32, -0.61, 0.31, -0.001, 3.12, 0.04], atol=1e-4)
 
 
-def test_outputs(cell, examples):
-    _, state, output = run(cell, examples, "io_example.py")
+def test_outputs(controller, examples):
+    _, state, output = run(controller, examples, "io_example.py")
     assert output.splitlines()[-2:] == ["Standard digital out (7) is HIGH", "Tool digital out (16) is HIGH"]
     assert state["actual_digital_output_bits"] == 1 << 7 | 1 << 16
     assert state["standard_analog_output1"] == pytest.approx(0.008)
 
 
 @pytest.mark.parametrize("name", ["record_data_example.py", "realtime_control_example.py"])
-def test_endless_ones_run_until_they_are_interrupted(cell, examples, name):
-    first = cell.ask("setpoints", arm="left")["count"]
+def test_endless_ones_run_until_they_are_interrupted(controller, examples, name):
+    first = controller.ask("setpoints")["count"]
 
     def works():
         recorded = examples / "robot_data.csv"
         rows = recorded.read_text().count("\n") if recorded.exists() else 0
-        moved = cell.ask("setpoints", arm="left")["count"] - first
+        moved = controller.ask("setpoints")["count"] - first
         return (rows if name.startswith("record") else moved) > 200
 
-    run_until(cell, examples, name, works)
+    run_until(controller, examples, name, works)
 
 
-@pytest.mark.parametrize("cell", ["5.26"], indirect=True)
-def test_torque_control_swings_the_arm(cell, examples):
-    before = cell.ask("state", arm="left", names=["actual_q"])["actual_q"]
+@pytest.mark.parametrize("controller", ["5.26"], indirect=True)
+def test_torque_control_swings_the_arm(controller, examples):
+    before = controller.ask("state", names=["actual_q"])["actual_q"]
     shoulder = []
 
     def works():
-        q = cell.ask("state", arm="left", names=["actual_q"])["actual_q"]
+        q = controller.ask("state", names=["actual_q"])["actual_q"]
         shoulder.append(q[1] - before[1])
         return max(shoulder) > 0.2
 
-    run_until(cell, examples, "joint_pd_torque_control.py", works)
-    assert cell.ask("setpoints", arm="left")["count"] == 0
+    run_until(controller, examples, "joint_pd_torque_control.py", works)
+    assert controller.ask("setpoints")["count"] == 0
 
 
-def run_until(cell, examples, name, works):
+def run_until(controller, examples, name, works):
     """Run an example until it works, and interrupt it."""
-    cell.wait_until("left", "robot_mode", 7)
+    controller.wait_for("robot_mode", 7)
     with (examples / f"{name}.log").open("w+") as log:
         process = subprocess.Popen([sys.executable, name], cwd=examples, stdout=log, stderr=log)
         try:
@@ -161,4 +161,4 @@ def run_until(cell, examples, name, works):
         log.seek(0)
         assert "Segmentation" not in log.read()
     assert process.returncode in (0, 1, 130, -signal.SIGINT)
-    assert cell.ask("state", arm="left", names=["safety_mode"]) == {"safety_mode": 1}
+    assert controller.ask("state", names=["safety_mode"]) == {"safety_mode": 1}

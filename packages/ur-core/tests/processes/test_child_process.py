@@ -95,23 +95,6 @@ def test_it_runs_a_function_in_a_session_of_its_own(tmp_path):
     assert rest == ""  # it does not read the terminal
 
 
-def modules(path: pathlib.Path) -> None:
-    import dual_ur10.sim2real.recording.recorder_process
-    import dual_ur10.sim2real.runtime.arm_process
-    import dual_ur10.sim2real.runtime.supervisor  # noqa: F401
-
-    path.write_text(" ".join(sys.modules))
-
-
-def test_processes_of_a_cell_import_nothing_of_the_environments(tmp_path):
-    """Arm processes, supervisor and recorder start with every environment on controllers, and must start fast."""
-    out = tmp_path / "modules"
-    assert Child(modules, out).wait(WITHIN_S)
-    loaded = {each.partition(".")[0] for each in out.read_text().split()}
-    assert "numpy" in loaded
-    assert not loaded & {"gymnasium", "pettingzoo", "mujoco", "scipy", "pinocchio", "torch"}
-
-
 def test_arguments_may_be_larger_than_a_pipe(tmp_path):
     values = bytes(range(256)) * 20_000
     assert written(tmp_path / "out", values)[0][0] == values

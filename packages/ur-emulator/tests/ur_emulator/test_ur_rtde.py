@@ -9,9 +9,9 @@ import sys
 import numpy as np
 import pytest
 
-from dual_ur10.emulated.emulated_cell import EmulatedCell
 from tests.soak import scaled
 from tests.ur_emulator import clients
+from tests.ur_emulator.pairs import EmulatedPair
 from ur_core.kinematics import flange_pose
 from ur_core.kinematics.robots import MODEL_OF_FAMILY
 from ur_core.kinematics.rotations import quat_from_rotvec, quat_to_matrix
@@ -31,7 +31,7 @@ pytestmark = [
 
 @pytest.fixture(scope="module", params=FAMILIES)
 def cell(request):
-    with EmulatedCell(family=request.param, plant="nominal") as cell:
+    with EmulatedPair(robot=MODEL_OF_FAMILY[request.param]) as cell:
         cell.family = request.param
         yield cell
 

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import pytest
 
-from dual_ur10.emulated.emulated_cell import EmulatedCell
 from tests.conformance import wire
 from tests.conformance.wire import Bounded, Dashboard, Rtde
+from ur_core.kinematics.robots import MODEL_OF_FAMILY
 from ur_emulator.controller.profile import PROFILES
+from ur_emulator.emulated_controller import EmulatedController
 
 STATE = "timestamp,runtime_state,robot_mode,safety_mode,actual_q"
 
@@ -21,11 +22,11 @@ class Controller:
     host: str
     family: str
     version: tuple[int, int, int, int]
-    cell: EmulatedCell | None = None
+    process: EmulatedController | None = None
 
     @property
     def emulated(self):
-        return self.cell is not None
+        return self.process is not None
 
     @property
     def tick_s(self):
@@ -62,7 +63,7 @@ def pytest_generate_tests(metafunc):
         return
     family = metafunc.config.getoption("--family")
     families = [family] if family else ["cb3", "e-series"]
-    # Scope "session" keeps tests of one family together, so that one emulated cell runs at a time.
+    # Scope "session" keeps tests of one family together, so that one emulated controller runs at a time.
     metafunc.parametrize("controller", families, indirect=True, scope="session")
 
 
@@ -79,14 +80,14 @@ def controller(request):
     if host:
         yield _asked(host, family)
         return
-    with EmulatedCell(family=family, plant="nominal") as cell:
-        yield _asked(cell.left, family, cell)
+    with EmulatedController(MODEL_OF_FAMILY[family], plant="nominal") as process:
+        yield _asked(process.host, family, process)
 
 
-def _asked(host, family, cell=None):
+def _asked(host, family, process=None):
     with Rtde(host) as rtde:
         version = struct.unpack(">4I", rtde.request(wire.URCONTROL))
-    return Controller(host, family, version, cell)
+    return Controller(host, family, version, process)
 
 
 @pytest.fixture(autouse=True)
@@ -103,7 +104,7 @@ def idle(request):
             if state["runtime_state"] in (2, 4):
                 dashboard.ask("stop")
             elif state["safety_mode"] == 3 and controller.emulated:
-                controller.cell.ask("release", arm="left", mode=3)  # at once, not after five seconds
+                controller.process.ask("release", mode=3)  # at once, not after five seconds
             elif state["safety_mode"] == 3:
                 dashboard.ask("unlock protective stop")
             elif state["safety_mode"] == 1 and (controller.emulated or request.config.getoption("--moves")):

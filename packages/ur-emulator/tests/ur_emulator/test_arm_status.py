@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.sim2real.statuses import status_of
+from tests.ur_emulator.statuses import status_of
 from ur_core.links.arm_status import (
     OPTIONAL_VARIABLES,
     ROW,

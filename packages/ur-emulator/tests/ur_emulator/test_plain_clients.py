@@ -6,7 +6,6 @@ import math
 
 import pytest
 
-from dual_ur10.emulated.emulated_cell import EmulatedCell
 from tests.conformance.wire import (
     JOINT_DATA,
     MASTERBOARD_DATA,
@@ -22,6 +21,8 @@ from tests.conformance.wire import (
     pose_distance,
     robot_mode_data,
 )
+from tests.ur_emulator.pairs import EmulatedPair
+from ur_core.kinematics.robots import MODEL_OF_FAMILY
 
 BOTH = pytest.mark.parametrize("family", ["cb3", "e-series"], indirect=True, scope="module")
 CB3 = pytest.mark.parametrize("family", ["cb3"], indirect=True, scope="module")
@@ -36,7 +37,7 @@ CLOSE_RAD = 1e-4
 
 @pytest.fixture(scope="module")
 def family(request):
-    with EmulatedCell(family=request.param, plant="nominal") as cell:
+    with EmulatedPair(robot=MODEL_OF_FAMILY[request.param]) as cell:
         yield cell
 
 

@@ -1,4 +1,4 @@
-"""The emulated cell in a browser."""
+"""The emulated arm in a browser."""
 
 import shutil
 import socket
@@ -6,13 +6,13 @@ import subprocess
 import time
 import urllib.request
 
-import imageio.v3 as iio
 import mujoco
 import numpy as np
 import pytest
 
-from dual_ur10.emulated.emulated_cell import EmulatedCell
+from ur_emulator.emulated_controller import EmulatedController
 
+iio = pytest.importorskip("imageio.v3")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 
@@ -41,9 +41,9 @@ def pictures(url, path, enough, most=8):
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")
-def test_a_browser_sees_the_arms_move(tmp_path):
-    with EmulatedCell(plant="nominal", view=True) as cell:
-        url = cell.ask("info")["url"]
+def test_a_browser_sees_the_arm_move(tmp_path):
+    with EmulatedController("ur10", plant="nominal", view=True) as controller:
+        url = controller.ask("info")["url"]
         assert url.startswith("http://127.0.0.1:")
         assert urllib.request.urlopen(url, timeout=10).status == 200
         if mujoco.__version__ < "4":  # its panels, which change by themselves, cover most of the cell
@@ -51,13 +51,13 @@ def test_a_browser_sees_the_arms_move(tmp_path):
             return
         # Drawn before the first state has come, arms lie stretched out: neither is to be mistaken for a move later.
         before = pictures(url, tmp_path / "before.png", lambda found: changed(found[0], found[-1]) > 3000)
-        q = cell.ask("state", arm="left", names=["actual_q"])["actual_q"]
+        q = controller.ask("state", names=["actual_q"])["actual_q"]
         goal = [q[0] + 0.8, q[1] - 0.3, *q[2:]]
-        with socket.create_connection((cell.left, 30003)) as client:
+        with socket.create_connection((controller.host, 30003)) as client:
             client.sendall(f"movej({goal}, a=1.4, v=1.0)\n".encode())
             end = time.monotonic() + 30.0
             while time.monotonic() < end:
-                now = cell.ask("state", arm="left", names=["actual_q"])["actual_q"]
+                now = controller.ask("state", names=["actual_q"])["actual_q"]
                 if np.allclose(now, goal, atol=1e-3):
                     break
                 time.sleep(0.05)

@@ -53,7 +53,7 @@ def test_sine_tracking_pays_for_following(earned):
     partly = ["stops after 25 %", "pauses 50 %", "left arm only", "right arm only"]
     cheats = ["at the extreme", "from extreme to extreme", "the other way", "shaking at the centre"]
     more = "stops after 75 %", "stops after 50 %", "pauses 10 %", "2 periods late", "5 periods late"
-    found = earned(SINE, *FLOORS, "script", *beside, *partly, *cheats, *more, duration_s=8.0, soft_start_s=0.5)
+    found = earned(SINE, *FLOORS, "script", *beside, *partly, *cheats, *more, duration_s=4.0, soft_start_s=0.5)
     earns_little(found, found["script"])
     falls(found, "script", *beside)
     falls(found, "script", "stops after 75 %", "stops after 50 %", "stops after 25 %")
@@ -83,8 +83,6 @@ def test_sine_tracking_leads_from_any_distance(what):
 
 def test_a_handover_pays_for_what_is_done(earned):
     """Doing nothing, a disturbed script, and staying in each stage in ways that lead nowhere."""
-    found = earned(HANDOVER, *FLOORS, "script")
-    earns_little(found, found["script"])
     honest = {number: f"holds at stage {number}" for number in range(1, 7)}
     cheats = {f"releases at stage {number}": number for number in (2, 4, 6)} | {
         "shakes at stage 0": 1,
@@ -92,11 +90,13 @@ def test_a_handover_pays_for_what_is_done(earned):
         "shakes at stage 4": 4,
     }
     disturbed = [
-        *("10 mm beside", "20 mm beside", "100 mm beside", "left arm only", "right arm only"),
+        *("10 mm beside", "100 mm beside", "left arm only", "right arm only"),
         *("waits 0.6 s at each stage", "stops after 50 %", "stops after 25 %"),
     ]
-    found |= earned(HANDOVER, *disturbed, *honest.values(), *cheats, max_episode_steps=330)
-    falls(found, "script", "10 mm beside", "20 mm beside", "100 mm beside")
+    steps = 330  # of 500
+    found = earned(HANDOVER, *FLOORS, "script", *disturbed, *honest.values(), *cheats, max_episode_steps=steps)
+    earns_little(found, found["script"] * steps / 500)
+    falls(found, "script", "10 mm beside", "100 mm beside")
     falls(found, "script", "waits 0.6 s at each stage")
     falls(found, "script", "stops after 50 %", "stops after 25 %", "right arm only")
     falls(found, "script", "left arm only", "right arm only")
@@ -107,17 +107,17 @@ def test_a_handover_pays_for_what_is_done(earned):
 
 def test_a_carry_pays_for_what_is_done(earned):
     """Doing nothing, a disturbed script, and what holds the bar, or follows its reference, without carrying it."""
-    script = earned(CARRY, "script")["script"]
     names = [
-        *("script", "5 mm beside", "20 mm beside", "100 mm beside"),
+        *("script", "5 mm beside", "100 mm beside"),
         *("left arm only", "right arm only", "pauses 50 %"),
         *(f"stops after {share} %" for share in (25, 50, 75)),
         *("holds the bar on the table", "shakes the bar on the table", "opens and closes"),
         *("follows with open fingers", "releases half-way", "shakes half-way"),
     ]
     found = earned(CARRY, *FLOORS, *names, max_episode_steps=260)
-    earns_little(found, script)
-    falls(found, "script", "5 mm beside", "20 mm beside", "100 mm beside", "holds the bar on the table")
+    # The bar stays in the air for 550 steps more, each of which earns 0.94: tests/envs/tasks/test_sync_carry.py.
+    earns_little(found, found["script"] + 0.94 * 550)
+    falls(found, "script", "5 mm beside", "100 mm beside", "holds the bar on the table")
     falls(found, "script", "pauses 50 %", "holds the bar on the table")
     falls(found, "script", "stops after 75 %", "stops after 50 %", "stops after 25 %")
     falls(found, "holds the bar on the table", "shakes the bar on the table", "follows with open fingers", "zero")

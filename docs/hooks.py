@@ -261,6 +261,10 @@ def pages(folder: Path) -> dict[str, Callable[[], str]]:
         "reference/errors.md": errors,
         "decisions/index.md": lambda: decisions(folder / "decisions"),
         "changelog.md": lambda: of_repository(folder.parent / "CHANGELOG.md"),
+        **{
+            f"changelog-{name}.md": partial(of_repository, folder.parent / "packages" / name / "CHANGELOG.md")
+            for name in ("ur-core", "ur-emulator")
+        },
         "contributing.md": lambda: of_repository(folder.parent / "CONTRIBUTING.md"),
     }
 

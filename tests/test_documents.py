@@ -37,10 +37,12 @@ from ur_emulator.world.plant import PLANTS
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
+DISTRIBUTIONS = {".": "dual-ur10", "packages/ur-core": "ur-core", "packages/ur-emulator": "ur-emulator"}
+READMES = {name: ROOT / "packages" / name / "README.md" for name in ("ur-core", "ur-emulator")}
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *READMES.values(), *sorted(DOCS.rglob("*.md"))]
 TASK_PAGES = {f"tasks/{name}.md" for name in ("sine-tracking", "sync-carry", "handover", "free")}
 GENERATED = {"reference/cli.md", "reference/cell-file.md", "reference/errors.md", "decisions/index.md", "changelog.md"}
-GENERATED |= {"contributing.md", *TASK_PAGES}
+GENERATED |= {"contributing.md", "changelog-ur-core.md", "changelog-ur-emulator.md", *TASK_PAGES}
 FAULTS = 64
 
 
@@ -278,8 +280,11 @@ def test_the_picture_of_the_distributions_is_that_of_the_contracts():
     assert shown.digest() in floors.PICTURE.read_text(), "run docs/floors.py: the contracts are others"
     page = (DOCS / "explanation" / "architecture.md").read_text()
     named = {each.rpartition("/")[2] for each in re.findall(r"`([\w/]+)`", page)}
-    for rooms in (room for rows in shown.floors.values() for row in rows for room in row):
-        assert rooms.rpartition(".")[2] in {*named, "__main__", "errors", "ids", "files", "objects", "types"}, rooms
+    for package, rows in shown.floors.items():
+        (folder,) = (each for each in (ROOT / package, *ROOT.glob(f"packages/*/{package}")) if each.is_dir())
+        for room in (room for row in rows for room in row):
+            path = room.replace(".", "/")
+            assert path.rpartition("/")[2] in named or (folder / f"{path}.py").is_file(), room
 
 
 def test_every_error_is_on_its_page():
@@ -373,9 +378,13 @@ def _texts(node):
 
 
 def test_every_extra_of_users_is_in_the_table_of_extras():
-    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
-    listed = re.findall(r"^\| `dual-ur10\[(\w+)\]`", (DOCS / "how-to" / "install.md").read_text(), re.MULTILINE)
-    assert sorted(listed) == sorted(extras.keys() - {"test", "fuzz", "docs", "dev"})
+    """Those of each distribution are on the page of installation, those of a package in its README, too."""
+    page = (DOCS / "how-to" / "install.md").read_text()
+    for place, name in DISTRIBUTIONS.items():
+        project = tomllib.loads((ROOT / place / "pyproject.toml").read_text())["project"]
+        extras = project["optional-dependencies"].keys() - {"test", "fuzz", "docs", "dev"}
+        for text in (page, READMES[name].read_text()) if name in READMES else (page,):
+            assert sorted(re.findall(rf"^\| `{name}\[(\w+)\]`", text, re.MULTILINE)) == sorted(extras), name
 
 
 UNRELEASED = "unreleased" in (ROOT / "CHANGELOG.md").read_text()
@@ -389,20 +398,36 @@ def test_installations_work_before_the_first_release(path):
         for before, line in zip(["", *lines], lines, strict=False):
             if "pip install" not in line or line.lstrip().startswith("#"):
                 continue
-            if "-e" in line.split():
-                extras = re.search(r"\[.*\]", line)
-                package = f'"dual-ur10{extras[0]}"' if extras else "dual-ur10"
-                assert before.endswith(f"After the first release: pip install {package}") == UNRELEASED, line
-            elif "dual-ur10" in line:
+            words = shlex.split(line, comments=True)
+            places = [words[place + 1] for place, word in enumerate(words) if word == "-e"]
+            if places:
+                package = DISTRIBUTIONS[places[-1].partition("[")[0]] + "".join(re.findall(r"\[.*\]", places[-1]))
+                package = f'"{package}"' if "[" in package else package
+                others = [word for word in words if word not in ("-e", *places)]
+                later = " ".join(["pip install", package, *others[others.index("install") + 1 :]])
+                later = re.sub(r" -c \S+", "", later)
+                assert before.endswith(f"After the first release: {later}") == UNRELEASED, line
+            elif any(each in line for each in DISTRIBUTIONS.values()):
                 assert line.endswith("# after the first release") == UNRELEASED, line
 
 
-def test_a_first_release_describes_itself():
+CHANGELOGS = [ROOT / "CHANGELOG.md", *sorted(ROOT.glob("packages/*/CHANGELOG.md"))]
+
+
+@pytest.mark.parametrize("path", CHANGELOGS, ids=page_id)
+def test_a_first_release_describes_itself(path):
     """Before the first release there is nothing that could have changed."""
-    text = (ROOT / "CHANGELOG.md").read_text()
+    text = path.read_text()
     if text.count("\n## ") == 1:
         comparing = r".*\b(?:changed|no longer|any more|now|previously|earlier|made again)\b.*|.* before\).*"
         assert re.findall(comparing, text) == []
+
+
+def test_the_readmes_of_packages_stand_alone():
+    """A package index shows them without this repository; the emulator's page has the same code."""
+    for path in READMES.values():
+        assert re.findall(r"\]\((?!http)|(?:src|href)=", path.read_text()) == [], path
+    assert [*blocks(READMES["ur-emulator"], "python")] == [*blocks(DOCS / "emulator.md", "python")]
 
 
 @pytest.mark.parametrize("path", PAGES, ids=page_id)
@@ -444,7 +469,7 @@ def test_python_blocks_run(path, workplace, tmp_path):
     if "dm_control" in code:
         pytest.importorskip("dm_control", reason="it has no wheels for Python 3.13")
     if any(each in code for each in ("EmulatedCell(", "emulated_cell", "EmulatedController(")):
-        ast.parse(code)  # tests in real time run these
+        ast.parse(code)  # tests in real time run these, test_testing.py of the emulator and the suite
         return
     script = tmp_path / "page.py"
     script.write_text(code)

@@ -1,4 +1,4 @@
-"""The page of the emulator: its fixture in another project, and its example of `ur_rtde`."""
+"""The emulator's README and pages: its fixture in another project, and its examples in processes of their own."""
 
 import importlib.util
 import os
@@ -12,7 +12,13 @@ import pytest
 ROOT = Path(__file__).parents[4]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
 SUITE = importlib.util.find_spec("dual_ur10") is not None
-CLIENT, CONFTEST, TESTS = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "emulator.md").read_text(), re.DOTALL)
+
+
+def blocks(page):
+    return re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(), re.DOTALL)
+
+
+CLIENT, CONFTEST, TESTS = blocks("packages/ur-emulator/README.md")
 MORE = """
 import os
 
@@ -54,9 +60,18 @@ def test_the_documented_fixture_runs_in_another_project(tmp_path):
 
 @pytest.mark.emulated
 @pytest.mark.real_time
-def test_the_documented_client_moves_the_arm(tmp_path):
+@pytest.mark.parametrize(
+    ("code", "printed"),
+    [
+        (CLIENT, r"wrist 3 moved by 0\.(?:499|500|501) rad\n"),
+        *((code, "") for code in blocks("docs/reference/emulator.md")),
+        *((code, r"{.*'safety_mode': 1}\n{.*}\n") for code in blocks("docs/reference/emulated-cell.md") if SUITE),
+    ],
+    ids=["client", "torques", "cell"][: 2 + SUITE],
+)
+def test_the_documented_examples_run(tmp_path, code, printed):
     pytest.importorskip("rtde_control")
-    command = [sys.executable, "-c", CLIENT]
+    command = [sys.executable, "-c", code]
     done = subprocess.run(command, cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
-    assert float(done.stdout) == pytest.approx(0.5, abs=2e-3)
+    assert re.fullmatch(printed, done.stdout), done.stdout

@@ -124,7 +124,7 @@ def constants() -> dict[str, str]:
     from dual_ur10.envs.core.setup import load_task
     from dual_ur10.envs.tasks.observation_layout import ConciseView
     from dual_ur10.ids import ENV_IDS
-    from dual_ur10.sim2real.cell import cell
+    from dual_ur10.sim2real.cell import cell_config
     from dual_ur10.sim2real.control import cartesian_step, clearance, gate, proximity
     from dual_ur10.sim2real.runtime import (
         approach,
@@ -152,7 +152,7 @@ def constants() -> dict[str, str]:
         name = family.replace("-", "_")
         facts[f"{name}_least_ticks"] = f"{runner.least_latency_ticks(tick_s)}"
         facts[f"{name}_margin_ticks"] = f"{runner.margin_ticks(tick_s)}"
-        facts[f"{name}_ticks"] = f"{round(cell.LATENCY_S / tick_s)}"
+        facts[f"{name}_ticks"] = f"{round(cell_config.LATENCY_S / tick_s)}"
     for name, equipment in (
         ("bare", Equipment()),
         ("gripper", Equipment(grippers=True)),
@@ -166,7 +166,7 @@ def constants() -> dict[str, str]:
     for number, shape in enumerate(re.findall(r"\w+(?= =)", shapes[1] if shapes else "")):
         facts[f"shape{number}"] = shape.lower()
     return facts | {
-        "latency_ms": f"{1e3 * cell.LATENCY_S:g}",
+        "latency_ms": f"{1e3 * cell_config.LATENCY_S:g}",
         "margin_ms": f"{1e3 * runner.MARGIN_S:g}",
         "policy_ms": f"{1e3 * safety_monitor.POLICY_S:g}",
         "apart_mm": f"{1e3 * safety_monitor.APART_M:g}",

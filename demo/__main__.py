@@ -14,7 +14,7 @@ from dual_ur10.errors import MissingExtraError
 from ur_core.processes.interrupts import begin_program
 
 if TYPE_CHECKING:
-    from dual_ur10.sim2real.analysis.page import Table
+    from dual_ur10.sim2real.analysis.page import PageTable
 
 
 class _Command(typer.core.TyperCommand):
@@ -41,7 +41,7 @@ def demo(
     from demo import emulated
     from demo.report import TASKS
     from demo.run import run_demo
-    from dual_ur10.sim2real.analysis.page import Table
+    from dual_ur10.sim2real.analysis.page import PageTable
 
     with options.progress_of(options.console) as progress:
         bar = progress.add_task("starting", total=None)
@@ -56,11 +56,11 @@ def demo(
     for pair in found.pairs:
         task = pair.run.task
         sides = [(name, "", side) for name, side in pair.sides]
-        _print(f"{task.title} on emulated controllers", Table.of("", task.emulated_columns, sides))
+        _print(f"{task.title} on emulated controllers", PageTable.of("", task.emulated_columns, sides))
     if found.pairs:
         shown = [each for each in emulated.TIMING_COLUMNS if each.title not in emulated.PAGE_ONLY]
         rows = [(pair.run.task.title, "", pair) for pair in found.pairs]
-        _print("Emulated, simulated", Table.of("", shown, rows))
+        _print("Emulated, simulated", PageTable.of("", shown, rows))
     options.console.print(
         "Dim rows are those of an exact model: an artefact. No real arm was measured, and emulated is not real; L is 0 "
         "unless a row says so.",
@@ -100,7 +100,7 @@ def _say(text: str) -> None:
     options.console.print(text, soft_wrap=True, highlight=False)
 
 
-def _print(title: str, shown: Table) -> None:
+def _print(title: str, shown: PageTable) -> None:
     """Print a table of the report; its weak rows are dim."""
     import rich.table
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from demo.case import JOINT_SPEED, SUCCESS, Case, Key, Result, Task, figure_column
+from demo.case import JOINT_SPEED, SUCCESS, Case, CaseResult, DemoTask, Key, figure_column
 from dual_ur10.assets.props import BAR_LENGTH_M, BAR_MASS_KG
 from dual_ur10.envs.tasks.sync_carry.path import MOVES
 from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings
@@ -52,7 +52,7 @@ COLUMNS = (
 )
 
 
-def figures(result: Result) -> dict[str, float]:
+def figures(result: CaseResult) -> dict[str, float]:
     """Return figures of an episode from the beginning of the path on; see `figures_of`."""
     return figures_of(result.trace, rigid=result.case.keywords.get("grasp") == "rigid")
 
@@ -94,7 +94,7 @@ def figures_of(trace: Trace, *, rigid: bool) -> dict[str, float]:
     }
 
 
-def context(results: Sequence[Result]) -> dict[str, Any]:
+def context(results: Sequence[CaseResult]) -> dict[str, Any]:
     """Return plots and values for the template."""
     shown = results[-1]
     error_mm = 1e3 * shown.trace["relative_error_m"][shown.trace["clock_s"] > 0.0]
@@ -144,7 +144,7 @@ def keys(shown: Take) -> list[Key]:
 _AXES = (("x", "#D55E00"), ("y", "#009E73"), ("z", "#0072B2"))
 
 
-def carry_path(result: Result) -> str:
+def carry_path(result: CaseResult) -> str:
     """Plot position of the bar, and its distance to its reference, over time."""
     with figure(1, 2, 3.2, width_ratios=(1.15, 1)) as (_, axes, address):
         left, right = axes[0]
@@ -166,7 +166,7 @@ def carry_path(result: Result) -> str:
     return address[0]
 
 
-def relative_pose(result: Result) -> str:
+def relative_pose(result: CaseResult) -> str:
     """Plot the error of the right flange's pose in the left one's frame."""
     return _over_path(
         result,
@@ -177,7 +177,7 @@ def relative_pose(result: Result) -> str:
     )
 
 
-def inner_forces(result: Result) -> str:
+def inner_forces(result: CaseResult) -> str:
     """Plot the internal forces along the bar and across it."""
     return _over_path(
         result,
@@ -188,7 +188,7 @@ def inner_forces(result: Result) -> str:
     )
 
 
-def load_and_slip(result: Result) -> str:
+def load_and_slip(result: CaseResult) -> str:
     """Plot the load ratio of both arms, and the slip of the bar in both grippers."""
     return _over_path(
         result,
@@ -199,7 +199,7 @@ def load_and_slip(result: Result) -> str:
     )
 
 
-def _over_path(result: Result, plots: Sequence[tuple[str, float, str, str]]) -> str:
+def _over_path(result: CaseResult, plots: Sequence[tuple[str, float, str, str]]) -> str:
     """Plot values over the time on the path: name in `info`, scale, axis and title of each."""
     clock = result.trace["clock_s"]
     shown = clock > 0.0
@@ -227,13 +227,13 @@ def _headroom(axis: Any) -> None:
     axis.set_ylim(low, low + (high - low) * 1.3)
 
 
-def _mark_begin(axis: Any, result: Result) -> None:
+def _mark_begin(axis: Any, result: CaseResult) -> None:
     """Mark the beginning of the path."""
     begin = float(result.record.time_s[np.argmax(result.trace["clock_s"] > 0.0)])
     axis.axvline(begin, color=SOFT, linestyle="--", linewidth=1)
 
 
-TASK = Task(
+TASK = DemoTask(
     name="carry",
     title="SyncCarry",
     cases=CASES,

@@ -14,7 +14,7 @@ from dual_ur10.errors import DualUR10Error
 from dual_ur10.policies.evaluation.film import Take
 from dual_ur10.policies.evaluation.rollout import Info, Record, Trace, rollout
 from dual_ur10.policies.policy import Policy
-from dual_ur10.sim2real.analysis.page import Column, Table
+from dual_ur10.sim2real.analysis.page import Column, PageTable
 from dual_ur10.sim2real.cell.perturbation import Perturbation
 from dual_ur10.sim2real.control.limits import MotionLimits
 from ur_core.types import Array
@@ -58,7 +58,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Result:
+class CaseResult:
     """One episode of a case.
 
     Attributes:
@@ -87,17 +87,17 @@ class Result:
         return speed_ratio(self.record.q_rad, self.record.period_s, self.limits)
 
 
-def figure_column(title: str, unit: str, figure: str, scale: float = 1.0) -> Column[Result]:
+def figure_column(title: str, unit: str, figure: str, scale: float = 1.0) -> Column[CaseResult]:
     """Return a column of one of the results' figures; a dash where a result has none."""
     return Column(title, unit, lambda result: float(scale * result.figures.get(figure, np.nan)))
 
 
-SUCCESS = Column[Result]("success", "", lambda result: "yes" if result.record.success else "no")
-JOINT_SPEED = Column[Result]("joint speed", "% of limit", lambda result: f"{100 * result.speed_ratio:.0f}")
+SUCCESS = Column[CaseResult]("success", "", lambda result: "yes" if result.record.success else "no")
+JOINT_SPEED = Column[CaseResult]("joint speed", "% of limit", lambda result: f"{100 * result.speed_ratio:.0f}")
 
 
 @dataclass(frozen=True)
-class Task:
+class DemoTask:
     """Everything that the demonstration runs, measures, draws and reports of one task.
 
     Attributes:
@@ -121,10 +121,10 @@ class Task:
     name: str
     title: str
     cases: Sequence[Case]
-    columns: Sequence[Column[Result]]
-    emulated_columns: Sequence[Column[Result]]
-    figures: Callable[[Result], Mapping[str, Any]]
-    context: Callable[[Sequence[Result]], Mapping[str, Any]]
+    columns: Sequence[Column[CaseResult]]
+    emulated_columns: Sequence[Column[CaseResult]]
+    figures: Callable[[CaseResult], Mapping[str, Any]]
+    context: Callable[[Sequence[CaseResult]], Mapping[str, Any]]
     filmed: Case
     video: str
     step_s: float
@@ -134,16 +134,16 @@ class Task:
     replayed: bool = False
     many: bool = False
 
-    def table(self, name: str, results: Sequence[Result], omitted: Sequence[str] = ()) -> Table:
+    def table(self, name: str, results: Sequence[CaseResult], omitted: Sequence[str] = ()) -> PageTable:
         """Return the table of results without some columns. Rows of the nominal model are "weak"."""
         seeds = [f", seed {each.seed}" if self.many else "" for each in results]
         rows = [
             (each.case.title + seed, "weak" if each.case.nominal else "", each)
             for each, seed in zip(results, seeds, strict=True)
         ]
-        return Table.of(name, [each for each in self.columns if each.title not in omitted], rows)
+        return PageTable.of(name, [each for each in self.columns if each.title not in omitted], rows)
 
-    def measure(self, case: Case, seeds: Sequence[int] = (0,), on_step: OnStep = lambda _: None) -> list[Result]:
+    def measure(self, case: Case, seeds: Sequence[int] = (0,), on_step: OnStep = lambda _: None) -> list[CaseResult]:
         """Run an episode for each seed and compute its figures.
 
         Args:
@@ -155,7 +155,7 @@ class Task:
             DualUR10Error: An episode was cut short, and the task has one for each case: its figures mean nothing.
         """
         env, policy = make(case)
-        found: list[Result] = []
+        found: list[CaseResult] = []
         steps = 0
 
         def count(info: Info) -> None:
@@ -185,7 +185,7 @@ def make(case: Case) -> tuple[Any, Policy]:
     return env, policy
 
 
-def episode(case: Case, env: Any, policy: Policy, seed: int, on_step: Callable[[Info], None]) -> Result:
+def episode(case: Case, env: Any, policy: Policy, seed: int, on_step: Callable[[Info], None]) -> CaseResult:
     """Run one episode; the result has no figures yet."""
     trace = Trace()
 
@@ -195,7 +195,7 @@ def episode(case: Case, env: Any, policy: Policy, seed: int, on_step: Callable[[
 
     record = rollout(env, policy, seed=seed, on_step=keep)
     core = env.unwrapped.core
-    return Result(case, seed, record, trace, core.task.limits, late_actions=core.late_actions)
+    return CaseResult(case, seed, record, trace, core.task.limits, late_actions=core.late_actions)
 
 
 def speed_ratio(q_rad: Array, period_s: float, limits: MotionLimits) -> float:

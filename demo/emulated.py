@@ -22,7 +22,7 @@ import gymnasium as gym
 import numpy as np
 
 from demo import carry, handover, sine
-from demo.case import Case, Result, Task, episode
+from demo.case import Case, CaseResult, DemoTask, episode
 from dual_ur10 import policies
 from dual_ur10.emulated.emulated_cell import EmulatedCell
 from dual_ur10.errors import DualUR10Error, MissingExtraError
@@ -64,7 +64,7 @@ class EmulatedRun:
         case: The case; its title is that of the task.
     """
 
-    task: Task
+    task: DemoTask
     duration_s: float
     case: Case
 
@@ -92,14 +92,14 @@ class EmulatedPair:
     """
 
     run: EmulatedRun
-    simulated: Result
-    emulated: Result
+    simulated: CaseResult
+    emulated: CaseResult
     comparison: Comparison
     load: float
     shown: Take
 
     @property
-    def sides(self) -> tuple[tuple[str, Result], tuple[str, Result]]:
+    def sides(self) -> tuple[tuple[str, CaseResult], tuple[str, CaseResult]]:
         """Both episodes with their names."""
         return ("simulated", self.simulated), ("emulated", self.emulated)
 
@@ -187,8 +187,8 @@ def _both(run: EmulatedRun, cell: Any, folder: Path, on_ratio: OnRatio) -> Emula
 
 
 def _episode(
-    task: Task, case: Case, folder: Path, played: Path | None, on_time: Callable[[float], None]
-) -> tuple[Result, Take]:
+    task: DemoTask, case: Case, folder: Path, played: Path | None, on_time: Callable[[float], None]
+) -> tuple[CaseResult, Take]:
     """Run and record an episode, by the scripted policy or with the actions of a recording; return its poses, too."""
     before = set(folder.glob("*/"))
     origin = provenance("scripted", case.env_id) if played is None else source_of(played, 0)

@@ -31,7 +31,7 @@ class KeyFrame:
 
 
 @dataclass(frozen=True)
-class Film:
+class EpisodeVideo:
     """Video of an episode.
 
     Attributes:
@@ -58,7 +58,7 @@ def shoot(
     speed: float = 1.0,
     keys: Sequence[Key] = (),
     on_ratio: Callable[[float], None] = lambda _: None,
-) -> Film:
+) -> EpisodeVideo:
     """Draw an episode and write the video.
 
     Args:
@@ -78,7 +78,7 @@ def shoot(
     times_s = [0.5 * shown.duration_s, *(number * shown.period_s for number, _, _ in keys)]
     poster, *pictures = map(as_address, stills(shown, times_s, width=WIDTH, height=HEIGHT, zoom=_ZOOM))
     frames = [KeyFrame(title, words, each) for (_, title, words), each in zip(keys, pictures, strict=True)]
-    return Film(path, text, speed, poster, tuple(frames))
+    return EpisodeVideo(path, text, speed, poster, tuple(frames))
 
 
 def as_address(image: Picture) -> str:

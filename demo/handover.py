@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from demo.case import JOINT_SPEED, SUCCESS, Case, Key, Result, Task, figure_column
+from demo.case import JOINT_SPEED, SUCCESS, Case, CaseResult, DemoTask, Key, figure_column
 from dual_ur10.envs.tasks.handover.task import Handover
 from dual_ur10.policies.evaluation.film import Take
 from dual_ur10.sim2real.analysis.page import Column
@@ -39,17 +39,17 @@ CASES = (
     ),
 )
 
-_PLACED: tuple[Column[Result], ...] = (
-    Column[Result]("time", "s", lambda result: f"{result.record.time_s[-1]:.2f}"),
+_PLACED: tuple[Column[CaseResult], ...] = (
+    Column[CaseResult]("time", "s", lambda result: f"{result.record.time_s[-1]:.2f}"),
     figure_column("placing error", "mm", "place_mm"),
     figure_column("placing angle", "°", "place_deg"),
     figure_column("slip", "mm", "slip_max_mm"),
 )
 
-COLUMNS = (Column[Result]("gives", "", lambda result: str(result.figures["giver"])), SUCCESS, *_PLACED, JOINT_SPEED)
+COLUMNS = (Column[CaseResult]("gives", "", lambda result: str(result.figures["giver"])), SUCCESS, *_PLACED, JOINT_SPEED)
 
 
-def figures(result: Result) -> dict[str, Any]:
+def figures(result: CaseResult) -> dict[str, Any]:
     """Return figures of an episode.
 
     `giver`: name of the arm that gives. `passed_s`: time at which each stage was passed, see `passed_s`. `place_mm`,
@@ -78,7 +78,7 @@ def passed_s(stage: Array, stages: int, period_s: float) -> tuple[float, ...]:
     return tuple(period_s * (float(each[0]) + 1.0) if len(each) else math.nan for each in first)
 
 
-def context(results: Sequence[Result]) -> dict[str, Any]:
+def context(results: Sequence[CaseResult]) -> dict[str, Any]:
     """Return plots and values for the template."""
     cut = [f"Seed {each.seed}, {each.case.title}: {each.record.ended_by}." for each in results if each.record.ended_by]
     return {
@@ -89,7 +89,7 @@ def context(results: Sequence[Result]) -> dict[str, Any]:
     }
 
 
-def summary(results: Sequence[Result]) -> str:
+def summary(results: Sequence[CaseResult]) -> str:
     """Return successes and median time of each case, as a sentence."""
     parts = []
     for title in dict.fromkeys(each.case.title for each in results):
@@ -120,7 +120,7 @@ def keys(shown: Take) -> list[Key]:
 STAGE_COLORS = ("#CFD8DC", "#56B4E9", "#0072B2", "#009E73", "#F0E442", "#E69F00", "#CC79A7")
 
 
-def stages_over_time(results: Sequence[Result]) -> str:
+def stages_over_time(results: Sequence[CaseResult]) -> str:
     """Plot the stages over time, a bar for each episode."""
     with figure(1, 1, 1.5 + 0.27 * len(results)) as (_, axes, address):
         axis = axes[0, 0]
@@ -149,7 +149,7 @@ def stages_over_time(results: Sequence[Result]) -> str:
     return address[0]
 
 
-def one_handover(result: Result) -> str:
+def one_handover(result: CaseResult) -> str:
     """Plot height of the block, its distance to the target and its slip over time, in one episode."""
     with figure(1, 2, 3.4) as (_, axes, address):
         left, right = axes[0]
@@ -176,7 +176,7 @@ def one_handover(result: Result) -> str:
     return address[0]
 
 
-TASK = Task(
+TASK = DemoTask(
     name="handover",
     title="Handover",
     cases=CASES,

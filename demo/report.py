@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from demo import carry, handover, sine
-from demo.case import Result
+from demo.case import CaseResult
 from demo.emulated import (
     ON_FAILURE,
     TIMING_COLUMNS,
@@ -20,11 +20,11 @@ from demo.emulated import (
     remarks,
     side_by_side,
 )
-from demo.film import Film
+from demo.film import EpisodeVideo
 from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings
 from dual_ur10.errors import DualUR10Error
 from dual_ur10.ids import __version__
-from dual_ur10.sim2real.analysis.page import Table, render, video_source
+from dual_ur10.sim2real.analysis.page import PageTable, render, video_source
 
 TASKS = (sine.TASK, carry.TASK, handover.TASK)
 
@@ -41,8 +41,8 @@ class Findings:
         failures: Runs on emulated controllers that failed.
     """
 
-    results: Mapping[str, Sequence[Result]]
-    films: Mapping[str, Film] = field(default_factory=dict)
+    results: Mapping[str, Sequence[CaseResult]]
+    films: Mapping[str, EpisodeVideo] = field(default_factory=dict)
     missing: str = ""
     pairs: Sequence[EmulatedPair] = ()
     failures: Sequence[EmulatedFailure] = ()
@@ -89,7 +89,7 @@ def write_report(path: Path, findings: Findings) -> None:
         raise DualUR10Error(f"cannot write {path}: {error}") from error
 
 
-def film_values(film: Film) -> dict[str, Any]:
+def film_values(film: EpisodeVideo) -> dict[str, Any]:
     """Return source, poster, caption and key frames of a film."""
     speed = "In real time" if math.isclose(film.speed, 1.0) else f"{film.speed:g} times faster than in reality"
     source, caption = video_source(film.path), f"{film.text} {speed}."
@@ -103,7 +103,7 @@ def emulated_values(findings: Findings) -> dict[str, Any]:
         "tasks": [
             {
                 "title": pair.run.task.title,
-                "table": Table.of(
+                "table": PageTable.of(
                     f"emulated-{pair.run.task.name}",
                     pair.run.task.emulated_columns,
                     [(name, kinds[name], side) for name, side in pair.sides],
@@ -113,7 +113,7 @@ def emulated_values(findings: Findings) -> dict[str, Any]:
             }
             for pair in findings.pairs
         ],
-        "timing": Table.of(
+        "timing": PageTable.of(
             "emulated-timing", TIMING_COLUMNS, [(pair.run.task.title, "", pair) for pair in findings.pairs]
         ),
         "slip_mm": f"{1e3 * CarrySettings().success_slip_m:g}",

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from demo.case import Case, Key, Result, Task, make
+from demo.case import Case, CaseResult, DemoTask, Key, make
 from demo.emulated import (
     CARRY,
     HANDOVER,
@@ -18,7 +18,7 @@ from demo.emulated import (
     measure_emulated,
     sine_run,
 )
-from demo.film import Film, shoot
+from demo.film import EpisodeVideo, shoot
 from demo.report import TASKS, Findings, write_report
 from dual_ur10.errors import DualUR10Error, RenderError
 from dual_ur10.policies.evaluation.film import Take, take
@@ -91,13 +91,13 @@ def run_demo(out: Path, *, quick: bool = False, progress: Progress = lambda *_: 
     except OSError as error:
         raise DualUR10Error(f"cannot write to {out}: {error}") from error
     extent = QUICK if quick else Extent()
-    results: dict[str, list[Result]] = {task.name: [] for task in TASKS}
-    films: dict[str, Film] = {}
+    results: dict[str, list[CaseResult]] = {task.name: [] for task in TASKS}
+    films: dict[str, EpisodeVideo] = {}
     missing: list[str] = []
     pairs: list[EmulatedPair] = []
     failures: list[EmulatedFailure] = []
 
-    def measuring(task: Task, case: Case) -> _Job:
+    def measuring(task: DemoTask, case: Case) -> _Job:
         seeds = range(extent.episodes if task.many else 1)
         case, steps = sized(task, case, extent.duration_s)
         total = len(seeds) * steps
@@ -107,7 +107,7 @@ def run_demo(out: Path, *, quick: bool = False, progress: Progress = lambda *_: 
 
         return _Job(f"{task.title}: {case.title}", total * task.step_s, do)
 
-    def filming(task: Task) -> _Job:
+    def filming(task: DemoTask) -> _Job:
         case, steps = sized(task, task.filmed, extent.film_s)
 
         def do(on_ratio: OnRatio) -> None:
@@ -164,7 +164,7 @@ def run_demo(out: Path, *, quick: bool = False, progress: Progress = lambda *_: 
     return findings()
 
 
-def sized(task: Task, case: Case, duration_s: float) -> tuple[Case, int]:
+def sized(task: DemoTask, case: Case, duration_s: float) -> tuple[Case, int]:
     """Return a case with episodes of this length, if the task lets it be chosen, and their approximate steps."""
     return (case, task.steps) if task.steps else (case.given(duration_s=duration_s), round(duration_s * _RATE_HZ))
 

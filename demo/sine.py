@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from demo.case import SUCCESS, Case, Result, Task, figure_column
+from demo.case import SUCCESS, Case, CaseResult, DemoTask, figure_column
 from dual_ur10.envs.tasks.sine_tracking.task import SineTracking
 from dual_ur10.policies.evaluation.accuracy import accuracy, along_axis, correlation, errors, lag_s, skew_s
 from dual_ur10.sim2real.analysis.plot_style import ARM_COLORS, capital, figure, legend_right
@@ -76,7 +76,7 @@ COLUMNS = (
 )
 
 
-def figures(result: Result) -> dict[str, float]:
+def figures(result: CaseResult) -> dict[str, float]:
     """Return accuracy, lag of the slower of the tracking arms, and skew between the arms (NaN if only one moves)."""
     lags = [value for value in lag_s(result.record).tolist() if not math.isnan(value)]
     return {
@@ -86,7 +86,7 @@ def figures(result: Result) -> dict[str, float]:
     }
 
 
-def context(results: Sequence[Result]) -> dict[str, Any]:
+def context(results: Sequence[CaseResult]) -> dict[str, Any]:
     """Return plots and values for the template."""
     named = {result.case.name: result for result in results}
     limit_rad_s = max(SineTracking.limits.speed_rad_s)
@@ -103,7 +103,7 @@ def context(results: Sequence[Result]) -> dict[str, Any]:
     }
 
 
-Results = Mapping[str, Result]
+Results = Mapping[str, CaseResult]
 
 # Okabe and Ito's colours, which colour-blind readers can tell apart.
 RUN_COLORS = {
@@ -261,12 +261,12 @@ def lag(results: Results) -> str:
     return address[0]
 
 
-def _distance_m(result: Result) -> float:
+def _distance_m(result: CaseResult) -> float:
     reference = result.record.reference_m
     return 0.0 if reference is None else float(np.linalg.norm(reference[0, 0] - reference[0, 1]))
 
 
-TASK = Task(
+TASK = DemoTask(
     name="sine",
     title="SineTracking",
     cases=CASES,

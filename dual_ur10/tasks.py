@@ -9,7 +9,7 @@ It holds names only; each is documented where it is defined. It imports `envs` a
 imports it.
 """
 
-from dual_ur10.assets.prop import Camera, Capsule, Prop
+from dual_ur10.assets.prop import Camera, HeldCapsule, Prop
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, home_q_rad
 from dual_ur10.envs.tasks.geometry import (
     PICKING,
@@ -59,7 +59,6 @@ __all__ = [
     "STIFF",
     "Array",
     "Camera",
-    "Capsule",
     "CellConfig",
     "CellState",
     "Equipment",
@@ -74,6 +73,7 @@ __all__ = [
     "GraspingTask",
     "Grasps",
     "Grip",
+    "HeldCapsule",
     "Imitation",
     "Mask",
     "MotionLimits",

@@ -240,14 +240,14 @@ def test_without_opengl_there_is_a_report_and_no_video(
     def fail(*_: Any, **__: Any) -> None:
         raise RenderError("no OpenGL backend was found: apt-get install libegl1")
 
-    real = case.Task.measure
+    real = case.DemoTask.measure
 
-    def again(task: case.Task, of: case.Case, seeds: Any, on_step: case.OnStep) -> list[case.Result]:
+    def again(task: case.DemoTask, of: case.Case, seeds: Any, on_step: case.OnStep) -> list[case.CaseResult]:
         if task.name == "sine":
             return real(task, of, seeds, on_step)
         return [each for each in found[0].results[task.name] if each.case.name == of.name]  # as measured before
 
-    monkeypatch.setattr(case.Task, "measure", again)
+    monkeypatch.setattr(case.DemoTask, "measure", again)
     monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda _, buffer, **__: buffer.write(b"<svg/>"))
     monkeypatch.setattr(run, "QUICK", run.Extent(duration_s=1.0, episodes=1))  # all tasks on emulated controllers
     monkeypatch.setitem(sys.modules, "rtde_control", None)

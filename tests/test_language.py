@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("dual_ur10", "packages/ur-emulator/ur_emulator", "packages/ur-core/ur_core")
+PACKAGES = ("dual_ur10", "packages/ur-emulator/ur_emulator", "packages/ur-core/ur_core", "demo")
 CLAUSES = {"What", "Whether", "Who", "How", "Where", "Why", "When"}
 """First words of summaries that are clauses, not noun phrases or imperatives."""
 
@@ -72,6 +72,16 @@ def test_identifiers_are_the_fields_words(trees):
             words = {word.lower() for word in re.findall(r"[A-Z]?[a-z]+", name)}
             found |= {f"{path}: {name} ({FOREIGN[each]})" for each in FOREIGN if any(w.startswith(each) for w in words)}
     assert found == set()
+
+
+def test_a_public_class_name_means_one_thing(trees):
+    """Within the packages and the demonstration; a name of one module alone begins with `_`."""
+    places = {}
+    for path, tree in trees.items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                places.setdefault(node.name, []).append(f"{path}:{node.lineno}")
+    assert {name: found for name, found in places.items() if len(found) > 1} == {}
 
 
 def test_no_two_modules_share_a_name_in_sibling_rooms(trees):

@@ -22,7 +22,7 @@ import numpy as np
 from dual_ur10.assets.cell_spec import add_obstacles, attach_arm, cell_spec, compiled, joint_names
 from dual_ur10.assets.gripper import add_rigid_gripper
 from dual_ur10.assets.obstacles import geom_name
-from dual_ur10.assets.prop import Capsule
+from dual_ur10.assets.prop import HeldCapsule
 from dual_ur10.assets.settings import Equipment, SceneSettings
 from ur_core.kinematics.ur10 import ARMS, LINKS
 from ur_core.mjcf.arm import arm_spec, remove_visuals
@@ -85,7 +85,7 @@ CLEARANCE_PAIRS: Final = _pairs()
 _WITH_GRIPPERS: Final = CLEARANCE_PAIRS + _gripper_pairs()
 
 
-def payload(settings: SceneSettings, arm: int) -> dict[str, Capsule]:
+def payload(settings: SceneSettings, arm: int) -> dict[str, HeldCapsule]:
     """Return the payload geometry of an arm by the name of its geom, without the prefix of the arm.
 
     Args:
@@ -237,7 +237,7 @@ def add_hulls(spec: Any) -> None:
         spec.worldbody.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, pos=box.pos, quat=box.quat)
 
 
-def add_payload_geometry(gripper: Any, name: str, capsule: Capsule, tcp_m: float) -> None:
+def add_payload_geometry(gripper: Any, name: str, capsule: HeldCapsule, tcp_m: float) -> None:
     """Add payload geometry to a gripper's body, without a mass: that of the body is explicit.
 
     Args:

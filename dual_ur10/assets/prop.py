@@ -33,8 +33,8 @@ def _finite(what: str, values: Sequence[float], count: int) -> tuple[float, ...]
 
 
 @dataclass(frozen=True)
-class Capsule:
-    """Capsule in the frame of an arm's tool centre point.
+class HeldCapsule:
+    """Capsule around a prop that an arm holds, in the frame of its tool centre point.
 
     Attributes:
         from_m, to_m: Ends of its axis.
@@ -120,7 +120,7 @@ class Prop:
 
     name: str
     mjcf: str
-    held: tuple[Capsule | None, Capsule | None] = (None, None)
+    held: tuple[HeldCapsule | None, HeldCapsule | None] = (None, None)
     tracked: bool | None = None
     noise: float = 1.0
     mass: float = 1.0
@@ -175,8 +175,8 @@ class Prop:
             if not 0.0 <= value <= 100.0:
                 raise SettingsError(f"{key} of the prop {name!r} is {value:g}: it must be 0 to 100")
             object.__setattr__(self, key, value)
-        if len(self.held) != 2 or not all(each is None or isinstance(each, Capsule) for each in self.held):
-            raise SettingsError(f"held of the prop {name!r} is {self.held!r}: it must be two, each a Capsule or None")
+        if len(self.held) != 2 or not all(each is None or isinstance(each, HeldCapsule) for each in self.held):
+            raise SettingsError(f"held of the prop {name!r} is {self.held!r}: it must be two, each HeldCapsule or None")
         object.__setattr__(self, "held", tuple(self.held))
 
     @property

@@ -6,7 +6,7 @@ import math
 from typing import Final
 
 from dual_ur10.assets.gripper import box_inertia
-from dual_ur10.assets.prop import Capsule, Prop
+from dual_ur10.assets.prop import HeldCapsule, Prop
 from ur_core.kinematics.ur10 import ARMS
 from ur_core.types import Vector3
 
@@ -145,13 +145,16 @@ def _target_mjcf() -> str:
     return _mjcf(body, ("front_target", "back_target", "outline"))
 
 
-def _held(first_m: float, last_m: float, width_m: float) -> tuple[Capsule, Capsule]:
+def _held(first_m: float, last_m: float, width_m: float) -> tuple[HeldCapsule, HeldCapsule]:
     """Return capsules from one end to another along the left tool's x, and mirrored along the right one's.
 
     Edges of a prop of square section protrude by 8 mm.
     """
     first, last, radius = first_m + width_m / 2, last_m - width_m / 2, width_m / 2
-    return Capsule((first, 0.0, 0.0), (last, 0.0, 0.0), radius), Capsule((-first, 0.0, 0.0), (-last, 0.0, 0.0), radius)
+    return (
+        HeldCapsule((first, 0.0, 0.0), (last, 0.0, 0.0), radius),
+        HeldCapsule((-first, 0.0, 0.0), (-last, 0.0, 0.0), radius),
+    )
 
 
 BAR: Final = Prop(

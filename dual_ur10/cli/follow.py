@@ -37,7 +37,7 @@ from ur_core.types import Array, Closing
 if TYPE_CHECKING:
     from dual_ur10.sim2real.cell_file.cell_file import CellFile
     from dual_ur10.sim2real.trajectory.executor import TrajectoryExecutor
-    from dual_ur10.sim2real.trajectory.goal import Feedback, Result, TrajectoryGoal
+    from dual_ur10.sim2real.trajectory.goal import Feedback, GoalResult, TrajectoryGoal
     from dual_ur10.sim2real.trajectory.handle import GoalHandle
     from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
 
@@ -304,7 +304,7 @@ class _Shown:
         )
 
 
-def _print(goal: TrajectoryGoal, handle: GoalHandle, result: Result) -> None:
+def _print(goal: TrajectoryGoal, handle: GoalHandle, result: GoalResult) -> None:
     if handle.feedback is not None:
         table = Table(header_style="bold")
         for header in ("arm", "largest joint error\n[dim]mrad[/]", "of", "RMS\n[dim]mrad[/]"):
@@ -362,11 +362,11 @@ def _stream(trajectory: JointTrajectory, cell: CellFile, rate_hz: float, system:
     from dual_ur10.sim2real.control.link_profiles import profile_for
     from dual_ur10.sim2real.programs.point_stream import PointStream
     from dual_ur10.sim2real.programs.program_box import ProgramBox
-    from dual_ur10.sim2real.programs.stream_motion import Progress
+    from dual_ur10.sim2real.programs.stream_motion import PathProgress
 
     next_s = 0.0
 
-    def seen(progress: Progress) -> None:
+    def seen(progress: PathProgress) -> None:
         nonlocal next_s
         if progress.path_s >= next_s:
             next_s = progress.path_s + _SHOWN_S

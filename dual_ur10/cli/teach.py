@@ -19,7 +19,7 @@ from ur_core.processes.system import LOCAL, System
 
 if TYPE_CHECKING:
     from dual_ur10.sim2real.cell_file.cell_file import CellFile
-    from dual_ur10.sim2real.teaching.teaching import Key
+    from dual_ur10.sim2real.teaching.teaching import TeachKey
 
 
 def teach(
@@ -59,7 +59,7 @@ def record(
     cell: CellFile,
     path: Path,
     arms: tuple[str, ...],
-    keys: Callable[[], Key | None],
+    keys: Callable[[], TeachKey | None],
     rate_hz: float | None = None,
     system: System = LOCAL,
 ) -> tuple[int, int]:
@@ -96,8 +96,8 @@ class _Terminal:
     def __init__(self, interrupted: Callable[[], bool]) -> None:
         self._interrupted, self._typed, self._ended = interrupted, b"", False
 
-    def __call__(self) -> Key | None:
-        from dual_ur10.sim2real.teaching.teaching import Key
+    def __call__(self) -> TeachKey | None:
+        from dual_ur10.sim2real.teaching.teaching import TeachKey
 
         number = sys.stdin.fileno()
         while not self._ended and LOCAL.clock.wait((number,), 0.0)[0]:
@@ -106,8 +106,8 @@ class _Terminal:
             self._ended = not data
         line, newline, rest = self._typed.partition(b"\n")
         if self._interrupted() or (self._ended and not newline):
-            return Key.END
+            return TeachKey.END
         if not newline:
             return None
         self._typed = rest
-        return Key.END if line.strip().lower() == b"q" else Key.RECORD
+        return TeachKey.END if line.strip().lower() == b"q" else TeachKey.RECORD

@@ -15,7 +15,7 @@ from dual_ur10.assets.settings import home_q_rad
 from dual_ur10.envs.core.randomization import PRESETS, apply_sample
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.sim.physics import Physics
-from dual_ur10.envs.sim.servo_reference import Motion
+from dual_ur10.envs.sim.servo_reference import ReferenceMotion
 from dual_ur10.envs.tasks.task import SceneRequirements
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.sim2real.cell.cell import CellState, Start
@@ -56,7 +56,7 @@ class CellWorld:
         left, right = (options.mount(mount, rng) for mount in self.mounts)
         true = dataclasses.replace(config, left=left, right=right) if options.dh_error_m else config
         self._physics = Physics(true, 1, self.substeps, 1)
-        self._motion = Motion(np.zeros((1, 3 * self.substeps + 3, 12)))
+        self._motion = ReferenceMotion(np.zeros((1, 3 * self.substeps + 3, 12)))
         values = config.perturbation.expanded(1)
         self.sampled: Mapping[str, Array] = {} if options.plant == "nominal" else PRESETS[options.plant].sample([rng])
         values |= apply_sample(values, self.sampled)

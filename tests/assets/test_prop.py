@@ -10,7 +10,7 @@ import pytest
 
 from dual_ur10 import CellConfig
 from dual_ur10.assets.collision_model import build_collision_model, clearance_pairs
-from dual_ur10.assets.prop import Camera, Capsule, Prop
+from dual_ur10.assets.prop import Camera, HeldCapsule, Prop
 from dual_ur10.assets.scene import build_model
 from dual_ur10.assets.settings import Equipment, SceneSettings, home_q_rad
 from dual_ur10.assets.visuals import cameras
@@ -28,7 +28,7 @@ PEG = Prop(
     <freejoint/><geom name="tip" type="box" size=".01 .01 .05" mass=".1" material="red"/>
     <geom type="box" size=".011 .011 .01" material="red" group="2" contype="0" conaffinity="0"/>
     </body></worldbody></mujoco>""",
-    held=(Capsule((0, 0, -0.03), (0, 0, 0.03), 0.012), None),
+    held=(HeldCapsule((0, 0, -0.03), (0, 0, 0.03), 0.012), None),
     noise=2.0,
     mass=0.5,
 )
@@ -172,7 +172,7 @@ def test_cameras_of_a_scene(config):
         ({"mjcf": xml("<joint name='a'/>", "<default><joint type='ball'/></default>")}, "type of joints in a default"),
         ({"noise": -1.0}, "noise of the prop 'peg' is -1"),
         ({"mass": float("nan")}, "must be 1 finite number"),
-        ({"held": (None,)}, "each a Capsule or None"),
+        ({"held": (None,)}, "each HeldCapsule or None"),
     ],
 )
 def test_bad_props_are_refused(values, text):
@@ -199,9 +199,9 @@ def test_what_mujoco_refuses_is_named(mjcf, text):
 @pytest.mark.parametrize(
     ("make", "text"),
     [
-        (lambda: Capsule((0, 0, 0), (0, 0, 9), 0.1), "within 2 m of the tool"),
-        (lambda: Capsule((0, 0), (0, 0, 0), 0.1), "must be 3 finite numbers"),
-        (lambda: Capsule((0, 0, 0), (0, 0, 0), 0.0), "above 0"),
+        (lambda: HeldCapsule((0, 0, 0), (0, 0, 9), 0.1), "within 2 m of the tool"),
+        (lambda: HeldCapsule((0, 0), (0, 0, 0), 0.1), "must be 3 finite numbers"),
+        (lambda: HeldCapsule((0, 0, 0), (0, 0, 0), 0.0), "above 0"),
         (lambda: Camera("my cam", (0, 0, 1), (0, 0, 0)), "use letters, digits and _"),
         (lambda: Camera("c", (0, 0, 1), (0, 0, 1)), "must differ"),
         (lambda: Equipment(props=(PEG, PEG)), "two props have the name 'peg'"),

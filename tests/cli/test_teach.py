@@ -7,7 +7,7 @@ import pytest
 
 from dual_ur10.cli import teach
 from dual_ur10.sim2real.cell_file.reference import starting_text
-from dual_ur10.sim2real.teaching.teaching import Key
+from dual_ur10.sim2real.teaching.teaching import TeachKey
 from tests.cli.command import run
 
 
@@ -48,12 +48,12 @@ def test_lines_are_requests_and_the_end_ends(monkeypatch):
     keys = teach._Terminal(lambda: bool(interrupted))
     assert keys() is None
     os.write(ours, b"\n\n  Q \n")
-    assert [keys() for _ in range(4)] == [Key.RECORD, Key.RECORD, Key.END, None]
+    assert [keys() for _ in range(4)] == [TeachKey.RECORD, TeachKey.RECORD, TeachKey.END, None]
     os.write(ours, b"\nrest")
-    assert [keys(), keys()] == [Key.RECORD, None]
+    assert [keys(), keys()] == [TeachKey.RECORD, None]
     interrupted.append(True)
-    assert keys() is Key.END
+    assert keys() is TeachKey.END
     interrupted.clear()
     os.close(ours)
-    assert [keys(), keys()] == [Key.END, Key.END]
+    assert [keys(), keys()] == [TeachKey.END, TeachKey.END]
     os.close(theirs)

@@ -13,7 +13,7 @@ from ur_core.errors import SettingsError, UnknownNameError
 from ur_core.kinematics import flange_pose
 from ur_core.kinematics.ur10 import NOMINAL_DH
 from ur_core.servoj import ServojProfile
-from ur_emulator.motion import JointTorques, Motion
+from ur_emulator.motion import JointTorques, MotionGenerator
 from ur_emulator.world.plant import PlantOptions
 
 TASKS = (None, "SineTracking", "SyncCarry", "Handover")
@@ -61,7 +61,7 @@ def test_a_nominal_arm_at_rest_reports_equal_joints():
 
 def test_a_nominal_arm_follows_its_controller_exactly():
     world = world_of(plant="nominal")
-    motions = [Motion(0.008, world.substeps, world.start_q_rad[arm], dh=NOMINAL_DH) for arm in range(2)]
+    motions = [MotionGenerator(0.008, world.substeps, world.start_q_rad[arm], dh=NOMINAL_DH) for arm in range(2)]
     goal = world.start_q_rad[0] + [0.3, -0.2, 0.1, 0.2, 0.3, -0.3]
     motions[0].move_joints(goal, 1.4, 1.0)
     most = 0.0

@@ -10,7 +10,7 @@ from dual_ur10.envs.core.randomization import JOINT_FRICTION_NM, PRESETS
 from tests import rollout_hashes
 from tests.ur_emulator.test_lone_arm import advance, arm_of
 from ur_core.kinematics.ur10 import nominal_dh
-from ur_emulator.motion import JointTorques, Motion
+from ur_emulator.motion import JointTorques, MotionGenerator
 from ur_emulator.world import lone_arm
 from ur_emulator.world.lone_arm import DEVIATIONS
 from ur_emulator.world.plant import PLANTS
@@ -25,7 +25,7 @@ def test_motion_hash(robot, plant):
 def moved(robot, plant):
     """Hash a move of all joints, a push and torques of the servos after it."""
     arm = arm_of(robot, plant=plant, seed=5)
-    motion = Motion(arm.tick_s, arm.substeps, arm.start_q_rad[0], dh=nominal_dh(robot))
+    motion = MotionGenerator(arm.tick_s, arm.substeps, arm.start_q_rad[0], dh=nominal_dh(robot))
     motion.move_joints(arm.start_q_rad[0] + [0.3, -0.2, 0.1, 0.2, 0.3, -0.3], 1.4, 1.0)
     seen = [arm.start_q_rad, *arm.sampled.values()]
     for tick in range(100):

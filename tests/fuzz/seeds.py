@@ -17,7 +17,7 @@ from dual_ur10.sim2real.cell_file.reference import EXAMPLES, starting_text
 from dual_ur10.sim2real.recording import mcap_records as mcap
 from dual_ur10.sim2real.recording.encoding import single_record
 from dual_ur10.sim2real.recording.rows import BeginRow, StepRow
-from dual_ur10.sim2real.recording.run import Event
+from dual_ur10.sim2real.recording.run import RunEvent
 from dual_ur10.sim2real.recording.schemas import EPISODE_TOPIC, EVENT, EVENT_TOPIC, STEP_TOPIC, TOPICS
 from dual_ur10.sim2real.trajectory.files import _csv_of, _json_of
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
@@ -144,7 +144,7 @@ def _step(number: int) -> bytes:
     ).encode(0, number)
 
 
-_EVENT: Final = EVENT.encode(vars(Event(0.1, "stop", "a text", "left")))
+_EVENT: Final = EVENT.encode(vars(RunEvent(0.1, "stop", "a text", "left")))
 _SINGLE: Final = {EPISODE_TOPIC: [_BEGIN], STEP_TOPIC: [_step(0), _step(1)], EVENT_TOPIC: [_EVENT]}
 _MESSAGES: Final = [(topic, each) for topic, messages in _SINGLE.items() for each in messages]
 

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.soak import scaled
-from ur_emulator.virtual.network import MemoryTransport, Network
+from ur_emulator.virtual.network import MemoryTransport, VirtualNetwork
 from ur_emulator.virtual.scheduler import BEGIN_S, Group, Scheduler, VirtualClock
 
 HOST, PORT = "127.0.0.2", 30004
@@ -18,7 +18,7 @@ class Net:
 
     def __init__(self):
         self.scheduler = Scheduler()
-        self.network, self.clock = Network(self.scheduler), VirtualClock(self.scheduler)
+        self.network, self.clock = VirtualNetwork(self.scheduler), VirtualClock(self.scheduler)
         self.server, self.client = Group("server"), Group("client")
 
     def listen(self, port=PORT, size=0):

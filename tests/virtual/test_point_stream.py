@@ -20,7 +20,7 @@ from dual_ur10.sim2real.programs.stream_script import (
     REASONS,
     STATE,
     WAIT_S,
-    Command,
+    ProgramCommand,
     State,
     moves_script,
     points_script,
@@ -432,7 +432,7 @@ def begin(arm):
     for number in (1, 2):
         arm.put(number, arm.home, np.zeros(6), 0.5 * (number - 1))
         arm.wait(lambda state, seen, number=number: seen == number, "a point")
-    arm.values["command"] = Command.RUN
+    arm.values["command"] = ProgramCommand.RUN
     arm.send()
 
 

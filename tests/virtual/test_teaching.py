@@ -9,10 +9,10 @@ from dual_ur10.follower import home_of, make_follower
 from dual_ur10.sim2real.cell_file.cell_file import CellFile
 from dual_ur10.sim2real.programs import program_link
 from dual_ur10.sim2real.programs.program_link import stop_programs
-from dual_ur10.sim2real.programs.stream_script import STATE, Command, State
+from dual_ur10.sim2real.programs.stream_script import STATE, ProgramCommand, State
 from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.teaching.hand_guiding import SILENCE_S, HandGuiding, freedrive_script
-from dual_ur10.sim2real.teaching.teaching import STEP_RAD, Key
+from dual_ur10.sim2real.teaching.teaching import STEP_RAD, TeachKey
 from dual_ur10.sim2real.trajectory import TrajectoryGoal, read_trajectory
 from dual_ur10.sim2real.trajectory.path_timing import BLEND_RAD, time_path
 from dual_ur10.testing import VirtualCell
@@ -31,13 +31,13 @@ def person(cell, *acts):
         nonlocal until_s
         while acts and cell.now_s >= until_s:
             act = acts.pop(0)
-            if isinstance(act, Key):
+            if isinstance(act, TeachKey):
                 return act
             if callable(act):
                 act()
             else:
                 until_s = cell.now_s + act
-        return Key.END if cell.now_s >= until_s else None
+        return TeachKey.END if cell.now_s >= until_s else None
 
     return keys
 
@@ -88,9 +88,9 @@ def off(taught, passed):
 def three_points(cell):
     """Return acts of a person who teaches three points; the right arm moves once."""
     return (
-        *(0.3, Key.RECORD, push(cell, "left", [0.0, 12.0, 10.0, 0.0, 0.0, 0.5])),
-        *(push(cell, "right", [0.0, -12.0, 9.0, 0.0, 0.0, 0.0]), 1.2, Key.RECORD),
-        *(push(cell, "left", [8.0, 0.0, 12.0, 0.0, 0.0, 0.0]), 1.2, Key.RECORD, Key.END),
+        *(0.3, TeachKey.RECORD, push(cell, "left", [0.0, 12.0, 10.0, 0.0, 0.0, 0.5])),
+        *(push(cell, "right", [0.0, -12.0, 9.0, 0.0, 0.0, 0.0]), 1.2, TeachKey.RECORD),
+        *(push(cell, "left", [8.0, 0.0, 12.0, 0.0, 0.0, 0.0]), 1.2, TeachKey.RECORD, TeachKey.END),
     )
 
 
@@ -119,7 +119,7 @@ def test_taught_points_are_followed(family, tmp_path, capsys):
 def test_a_path_recorded_while_guiding_is_followed(cell, tmp_path):
     path = tmp_path / "path.csv"
     acts = (0.3, push(cell, "left", [0.0, 15.0, 10.0, 0.0, 0.0, 0.0], 1.0), 0.6)
-    acts += (push(cell, "left", [12.0, 0.0, 10.0, 0.0, 0.6, 0.0], 0.8), 1.5, Key.END)
+    acts += (push(cell, "left", [12.0, 0.0, 10.0, 0.0, 0.6, 0.0], 0.8), 1.5, TeachKey.END)
     count, refused = teach(cell, path, *acts, rate_hz=10.0)
     assert refused == 0
     taught = read_trajectory(path)
@@ -147,9 +147,9 @@ def test_one_arm_is_guided_and_the_other_stands(cell, tmp_path):
 @pytest.mark.parametrize(
     ("acts", "words"),
     [
-        (lambda cell: (push(cell, "left", FIRM, 2.0), 0.5, Key.RECORD, 2.0), "Hold them still"),
-        (lambda cell: (Key.RECORD,), "Hold them still"),  # too few states yet
-        (lambda cell: (0.3, Key.RECORD, 0.3, Key.RECORD), "no joint is 5 mrad from the point before"),
+        (lambda cell: (push(cell, "left", FIRM, 2.0), 0.5, TeachKey.RECORD, 2.0), "Hold them still"),
+        (lambda cell: (TeachKey.RECORD,), "Hold them still"),  # too few states yet
+        (lambda cell: (0.3, TeachKey.RECORD, 0.3, TeachKey.RECORD), "no joint is 5 mrad from the point before"),
     ],
 )
 def test_points_are_refused(cell, tmp_path, capsys, acts, words):
@@ -165,13 +165,13 @@ def test_points_that_follow_would_refuse_are_warned_of_and_refused(tmp_path, cap
         flange = cell.ask("pose", body="left/wrist_3_link")["position_m"]
         wall["position_m"] = [flange[0] + 0.18, flange[1], flange[2]]
         file = CellFile.read({**cell.description, "obstacle": [wall]}, "the virtual cell")
-        acts = (0.3, Key.RECORD, push(cell, "left", [-14.0, 0.0, 0.0, 0.0, 0.0, 0.0], 1.0), 1.5, Key.RECORD)
+        acts = (0.3, TeachKey.RECORD, push(cell, "left", [-14.0, 0.0, 0.0, 0.0, 0.0, 0.0], 1.0), 1.5, TeachKey.RECORD)
         found = teach_command.record(file, tmp_path / "a.csv", ARMS, person(cell, *acts), None, cell.system)
         text = capsys.readouterr().out
         assert found == (1, 0)
         assert "note: left/wrist_3_link and obstacle/wall are" in text
         assert "`follow` would refuse this point" in text
-        acts = (0.3, push(cell, "left", [0.0, 10.0, 0.0, 0.0, 0.0, 0.0], 0.6), 1.5, Key.END)
+        acts = (0.3, push(cell, "left", [0.0, 10.0, 0.0, 0.0, 0.0, 0.0], 0.6), 1.5, TeachKey.END)
         count, refused = teach_command.record(file, tmp_path / "b.csv", ARMS, person(cell, *acts), 20.0, cell.system)
         assert 0 < refused <= count
 
@@ -206,7 +206,7 @@ def end(cell, fault):
 
 def person_until(cell, fault):
     keys = person(cell, 0.5, fault, 5.0)
-    return lambda guided: keys() is not Key.END
+    return lambda guided: keys() is not TeachKey.END
 
 
 def fast(cell):
@@ -239,7 +239,7 @@ def test_a_fault_of_either_arm_ends_freedrive_of_both(cell, fault, words):
 
 def test_a_fault_leaves_a_black_box_and_the_points_before(cell, tmp_path):
     path = tmp_path / "points.csv"
-    acts = (0.3, Key.RECORD, push(cell, "left", FIRM), 0.3, lambda: cell.ask("stop", arm="right", mode=3), 5.0)
+    acts = (0.3, TeachKey.RECORD, push(cell, "left", FIRM), 0.3, lambda: cell.ask("stop", arm="right", mode=3), 5.0)
     with pytest.raises(CellFaulted):
         teach(cell, path, *acts)
     assert len(read_trajectory(path)) == 1
@@ -311,7 +311,7 @@ def test_an_earlier_client_makes_no_arm_free(cell):
         (arm, _) = guiding._arms
         arm.upload(freedrive_script(7, "cb3"), 7)
         arm.token = 6
-        arm.values["command"] = Command.RUN
+        arm.values["command"] = ProgramCommand.RUN
         arm.send()
         cell.clock.sleep(0.2)
         arm.poll()

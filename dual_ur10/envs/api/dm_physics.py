@@ -15,7 +15,7 @@ from dual_ur10.envs.rendering.images import Renderer
 from dual_ur10.errors import UnknownNameError
 
 
-class Struct:
+class DmStruct:
     """MuJoCo's model or data, with what dm_control's wrappers of them add.
 
     Attributes:
@@ -48,7 +48,7 @@ class DmPhysics:
     def __init__(self, read: Callable[[], tuple[Any, Any]]) -> None:
         self._read = read
         model, data = read()
-        self.model, self.data = Struct(model), Struct(data)
+        self.model, self.data = DmStruct(model), DmStruct(data)
         self._renderers: dict[tuple[Any, ...], Renderer] = {}
 
     def update(self) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dual_ur10.envs.sim.servo_reference import Motion, ServojReference
+from dual_ur10.envs.sim.servo_reference import ReferenceMotion, ServojReference
 from dual_ur10.errors import ClosedError, SettingsError
 from dual_ur10.sim2real.cell.cell import CellRequest, CellState, CellStep, Start, TickTrace
 from dual_ur10.sim2real.cell.cell_config import CellConfig
@@ -78,7 +78,7 @@ class EchoCell:
         trace = self._traced(command.targets_rad, motion) if self._tracing else None
         return CellStep(self._state(mirror, end, speed), trace=trace)
 
-    def _traced(self, targets: Array, motion: Motion) -> TickTrace:
+    def _traced(self, targets: Array, motion: ReferenceMotion) -> TickTrace:
         after: Array = np.append(motion.q_rad[0, 1:], motion.rows[:, -3], axis=0).reshape(-1, 2, 6)
         return TickTrace(targets[0].copy(), after, after, motion.qd_rad_s[0].reshape(-1, 2, 6).copy())
 

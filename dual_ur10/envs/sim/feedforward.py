@@ -9,7 +9,7 @@ import numpy as np
 
 from dual_ur10.assets.collision_model import build_collision_model
 from dual_ur10.assets.settings import SceneSettings
-from dual_ur10.envs.sim.servo_reference import Motion
+from dual_ur10.envs.sim.servo_reference import ReferenceMotion
 from ur_core.kernel import RowLoop, Struct
 from ur_core.kinematics.rotations import quat_to_matrix
 from ur_core.kinematics.ur10 import ARMS
@@ -65,7 +65,7 @@ class FeedForward:
         """Controls of each arm's joints and, behind them, of its gripper, if it has one."""
         self._declared_kg: Array = np.zeros((n, 2))
         self._payload_kg: Array = np.zeros((n, 2, 2))  # before and after a call
-        self._motion: Motion | None = None
+        self._motion: ReferenceMotion | None = None
         self._threads = threads
         self._fields = _arms(settings) | {
             "n": n,
@@ -86,7 +86,7 @@ class FeedForward:
         """Declare a mass at each flange, (n, 2), to the controller, in place of the one before."""
         self._declared_kg[:] = mass_kg
 
-    def __call__(self, motion: Motion, before_kg: Array | float = 0.0, after_kg: Array | float = 0.0) -> Array:
+    def __call__(self, motion: ReferenceMotion, before_kg: Array | float = 0.0, after_kg: Array | float = 0.0) -> Array:
         """Return `control`, (n, steps, 2, 6 or 7), with those of the joints written anew.
 
         Args:

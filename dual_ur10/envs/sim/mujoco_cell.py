@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dual_ur10.envs.sim.physics import Physics
-from dual_ur10.envs.sim.servo_reference import Motion, ServojReference, TargetDelay, TimeScaledTargets
+from dual_ur10.envs.sim.servo_reference import ReferenceMotion, ServojReference, TargetDelay, TimeScaledTargets
 from dual_ur10.errors import ClosedError, SettingsError
 from dual_ur10.sim2real.cell.cell import CellRequest, CellStep, Start, TickTrace
 from dual_ur10.sim2real.cell.cell_config import CellConfig
@@ -141,7 +141,7 @@ class MujocoCell:
         """Return MuJoCo's full state of the first cell."""
         return self._open.integration_state(0)
 
-    def _traced(self, targets: Array, motion: Motion) -> TickTrace:
+    def _traced(self, targets: Array, motion: ReferenceMotion) -> TickTrace:
         substeps, before, speed = self.config.substeps, motion.q_rad, motion.qd_rad_s
         end = before[:, -1:] + speed[:, -1:] * (self.config.servoj.tick_s / substeps)
         after = np.concatenate([before, end], axis=1)[0, substeps::substeps]

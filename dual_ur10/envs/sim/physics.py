@@ -14,7 +14,7 @@ from dual_ur10.assets.scene import build_model
 from dual_ur10.envs.sim.feedforward import FeedForward
 from dual_ur10.envs.sim.handling import NOT_HANDLED, Handling, Props
 from dual_ur10.envs.sim.plant import Plant
-from dual_ur10.envs.sim.servo_reference import Motion
+from dual_ur10.envs.sim.servo_reference import ReferenceMotion
 from dual_ur10.errors import ClosedError, SettingsError
 from dual_ur10.sim2real.cell.cell import CellState, Start, check_start
 from dual_ur10.sim2real.cell.cell_config import CellConfig
@@ -197,7 +197,7 @@ class Physics:
 
     def advance(
         self,
-        motion: Motion,
+        motion: ReferenceMotion,
         gripper_m: Array | None = None,
         payload_kg: Array | None = None,
         torques: Sequence[Torques | None] = (None, None),
@@ -230,7 +230,7 @@ class Physics:
         np.copyto(self._good, self._integration)
         self._forward()
 
-    def _control(self, motion: Motion, commanded: Array | None, payload_kg: Array | None) -> Array:
+    def _control(self, motion: ReferenceMotion, commanded: Array | None, payload_kg: Array | None) -> Array:
         """Return the controls of both arms' servos, (n, steps, 12), or with their grippers, (n, steps, 14)."""
         handling, grippers, steps = self._handling, self._grippers, self.steps
         if handling is None or grippers is None:

@@ -109,8 +109,8 @@ class TimeScaledTargets:
         return curve.reshape(len(targets), -1, 2, 6)
 
 
-class Motion:
-    """Motion of both arms in every physics step of a period.
+class ReferenceMotion:
+    """Reference motion of both arms in every physics step of a period.
 
     Args:
         rows: (n, 3 steps + 3, 12) positions before, speeds after and accelerations in every step, then the state.
@@ -126,8 +126,8 @@ class Motion:
         steps = rows.shape[1] // 3 - 1
         self.q_rad, self.qd_rad_s, self.qdd_rad_s2 = (rows[:, k * steps : (k + 1) * steps] for k in range(3))
 
-    def __reduce__(self) -> tuple[type[Motion], tuple[Array]]:
-        return Motion, (self.rows,)  # views of it again, not copies
+    def __reduce__(self) -> tuple[type[ReferenceMotion], tuple[Array]]:
+        return ReferenceMotion, (self.rows,)  # views of it again, not copies
 
 
 class ServojReference:
@@ -154,7 +154,7 @@ class ServojReference:
         self.steps = ticks * substeps
         # Rows: position, speed, and the last difference of positions over the physics step.
         self._state: Array = np.zeros((n, 3, 12))
-        self.motion = Motion(np.zeros((n, 3 * self.steps + 3, 12)))
+        self.motion = ReferenceMotion(np.zeros((n, 3 * self.steps + 3, 12)))
         """Motion of the last call."""
         self._cache: dict[tuple[float, int], Array] = {}
         self.set_lookahead(np.ones((n, 2)), delayed=False)
@@ -218,7 +218,7 @@ class ServojReference:
         self._state[rows] = 0.0
         self._state[rows, 0] = q_rad.reshape(-1, 12)
 
-    def __call__(self, targets: Array) -> Motion:
+    def __call__(self, targets: Array) -> ReferenceMotion:
         """Return the motion of the next period: the same object at every call.
 
         Args:

@@ -19,7 +19,7 @@ from dual_ur10.envs.core.options import AS_ON_CONTROLLERS, MOVE_TO_START
 from dual_ur10.errors import DualUR10Error, ResetRefusedError, SettingsError
 from dual_ur10.ids import __version__
 from dual_ur10.policies.baselines import RandomPolicy, ZeroPolicy
-from dual_ur10.policies.evaluation.results import Episode, Evaluation
+from dual_ur10.policies.evaluation.results import EpisodeResult, Evaluation
 from dual_ur10.policies.evaluation.rollout import act
 from dual_ur10.policies.learned.checkpoint import warn_outside
 from dual_ur10.policies.learned.learned_policy import LearnedPolicy
@@ -119,7 +119,7 @@ def evaluate(
                 "asked before each such motion. Nothing has moved"
             )
 
-        def result(found: Sequence[Episode]) -> Evaluation:
+        def result(found: Sequence[EpisodeResult]) -> Evaluation:
             return Evaluation(
                 env_id=env_id,
                 policy=policy_name(policy),
@@ -131,7 +131,7 @@ def evaluate(
                 late_actions=getattr(core, "late_actions", 0),
             )
 
-        def report(found: Sequence[Episode]) -> None:
+        def report(found: Sequence[EpisodeResult]) -> None:
             if on_progress is not None:
                 on_progress(result(found))
 
@@ -149,16 +149,16 @@ def _run(
     period_s: float,
     max_steps: int,
     move_to_start: bool,
-    report: Callable[[Sequence[Episode]], None],
+    report: Callable[[Sequence[EpisodeResult]], None],
     on_step: Callable[[float], None] | None,
-) -> list[Episode]:
+) -> list[EpisodeResult]:
     horizon = getattr(env.unwrapped.core.task, "horizon", None) or math.inf
     n, kind, one_by_one = env.num_envs, env.single_action_space.dtype, isinstance(actor, EpisodeAware)
     tally = _Tally(n)
     current = list(range(n))  # index into `seeds` of the episode in each row
     upcoming, reported = n, 0
     live, fresh = np.ones(n, dtype=bool), np.ones(n, dtype=bool)
-    found: list[Episode | None] = [None] * len(seeds)
+    found: list[EpisodeResult | None] = [None] * len(seeds)
     observation: Any = None
     while live.any():
         if fresh.any():
@@ -241,14 +241,14 @@ class _Tally:
             return False
         return value.dtype.kind == "f" and value.shape in ((self._n,), (self._n, len(ARMS)))
 
-    def episode(self, row: int, seed: int, period_s: float, info: Mapping[str, Any]) -> Episode:
+    def episode(self, row: int, seed: int, period_s: float, info: Mapping[str, Any]) -> EpisodeResult:
         """Return the episode that has ended in a row with this `info`."""
         steps, staged = int(self.steps[row]), self._best_stage[row] >= 0
         # A name that only another row's info had is no part of this episode.
         peak = {name: value for name, value in _by_name(self._peak, row).items() if math.isfinite(value)}
         last = {name: value for name, value in _by_name(self._last, row).items() if name in peak}
         ended = details_of(info, row)
-        return Episode(
+        return EpisodeResult(
             seed=seed,
             success=bool("is_success" in info and info["_is_success"][row] and info["is_success"][row]),
             total_reward=float(self._reward[row]),

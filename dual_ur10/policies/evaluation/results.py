@@ -60,7 +60,7 @@ def wilson_interval(successes: int, trials: int, confidence: float = CONFIDENCE)
 
 
 @dataclass(frozen=True)
-class Episode:
+class EpisodeResult:
     """Result of one episode.
 
     Attributes:
@@ -153,7 +153,7 @@ class Evaluation:
     kwargs: Mapping[str, Any]
     seed: int
     stages: tuple[str, ...]
-    episodes: tuple[Episode, ...]
+    episodes: tuple[EpisodeResult, ...]
     versions: Mapping[str, str]
     late_actions: int = 0
 
@@ -205,7 +205,7 @@ class Evaluation:
         return float(np.percentile(times, percent)) if times else None
 
     @property
-    def cut_short(self) -> tuple[Episode, ...]:
+    def cut_short(self) -> tuple[EpisodeResult, ...]:
         """Episodes that the safety gate, a failure or an error ended."""
         return tuple(each for each in self.episodes if each.ended_by)
 
@@ -223,7 +223,7 @@ class Evaluation:
 
     @cached_property
     def spreads(self) -> dict[str, Spread]:
-        """The numbers of `info` with a unit over all episodes, by name; see `Episode.peak`."""
+        """The numbers of `info` with a unit over all episodes, by name; see `EpisodeResult.peak`."""
         result = {}
         for name in self._names():
             peaks = [each.peak[name] for each in self.episodes if name in each.peak]

@@ -74,7 +74,7 @@ class Space(StrictJson):
 
 
 @dataclass(frozen=True)
-class Rate(StrictJson):
+class ActionRate(StrictJson):
     """Timing of actions.
 
     Attributes:
@@ -182,7 +182,7 @@ class EnvironmentSignature(StrictJson):
     view: Literal["state", "goals"]
     observation: Space
     action: Space
-    rate: Rate
+    rate: ActionRate
     actions: Actions
     robot: Robot
 
@@ -226,7 +226,7 @@ class EnvironmentView:
                 tuple(layout.high.tolist()),
             ),
             action=Space((len(low),), "float32", tuple(low.tolist()), tuple(high.tolist())),
-            rate=Rate(config.servoj.tick_s, setup.ticks, int(setup.latency_ticks)),
+            rate=ActionRate(config.servoj.tick_s, setup.ticks, int(setup.latency_ticks)),
             actions=Actions(adapter.mode, adapter.gripper, bool(adapter.compensate_lag), step_rad),
             robot=Robot(
                 _AND.join(dict.fromkeys(mount.model.title for mount in mounts)),

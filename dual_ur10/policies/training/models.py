@@ -35,7 +35,7 @@ _FINISH: Final = "finish"
 _REFUSAL: Final = "refusal"
 
 
-class Differences(VecEnvWrapper):
+class RewardDifferences(VecEnvWrapper):
     """Rewards for what a step has changed.
 
     The terms of a state, added up to s, are replaced by their change since the step before. With the discount g the
@@ -116,7 +116,7 @@ def make(
     """
     monitored: VecEnv = VecMonitor(env)
     if settings.differences:
-        monitored = Differences(monitored, settings.gamma, lambda: settings.refusals * share())
+        monitored = RewardDifferences(monitored, settings.gamma, lambda: settings.refusals * share())
     around = VecNormalize(monitored, gamma=settings.gamma, norm_reward=algorithm == "ppo")
     shape = env.observation_space.shape or (0,)
     moments: Any = _Moments(shape, () if settings.scaled else np.setdiff1d(np.arange(shape[0]), unseen).tolist())

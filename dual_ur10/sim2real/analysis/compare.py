@@ -12,9 +12,19 @@ import numpy as np
 from dual_ur10.errors import RecordingError
 from dual_ur10.sim2real.analysis.parity import Parity, parity
 from dual_ur10.sim2real.analysis.reconstruction import replayed_keywords
-from dual_ur10.sim2real.analysis.series import NO_SPREAD, Spread, Value, interpolate, lag, lengths, none, rising, spread
+from dual_ur10.sim2real.analysis.series import (
+    NO_MAGNITUDES,
+    Magnitudes,
+    Value,
+    interpolate,
+    lag,
+    lengths,
+    none,
+    rising,
+    spread,
+)
 from dual_ur10.sim2real.analysis.tick_map import late_actions
-from dual_ur10.sim2real.analysis.timing import Timing, timing
+from dual_ur10.sim2real.analysis.timing import TimingReport, timing
 from dual_ur10.sim2real.analysis.tracks import Track, clock_error_s, flange_of, tracks
 from dual_ur10.sim2real.recording.header import mounts_of
 from dual_ur10.sim2real.recording.run import Header, Run
@@ -40,11 +50,11 @@ class Differences:
         angle_rad: Angle between the flanges.
     """
 
-    joints_rad: tuple[Spread, ...]
-    flange_m: Spread
-    flange_axes_m: tuple[Spread, ...]
+    joints_rad: tuple[Magnitudes, ...]
+    flange_m: Magnitudes
+    flange_axes_m: tuple[Magnitudes, ...]
     flange_mean_m: Array
-    angle_rad: Spread
+    angle_rad: Magnitudes
 
 
 @dataclass(frozen=True)
@@ -103,9 +113,9 @@ class Comparison:
     headers: tuple[Header, Header]
     complete: tuple[bool, bool]
     arms: tuple[ArmComparison, ArmComparison]
-    vector_m: Spread
-    vector_free_m: Spread
-    timing: tuple[Timing, Timing]
+    vector_m: Magnitudes
+    vector_free_m: Magnitudes
+    timing: tuple[TimingReport, TimingReport]
     pairs: tuple[Pair, ...]
     step_s: float
     notes: tuple[str, ...]
@@ -144,7 +154,7 @@ def compare(run_a: Run, run_b: Run) -> Comparison:
         complete=(run_a.complete, run_b.complete),
         arms=(arms[0], arms[1]),
         vector_m=_vector(pairs, free=False),
-        vector_free_m=_vector(pairs, free=True) if known else NO_SPREAD,
+        vector_free_m=_vector(pairs, free=True) if known else NO_MAGNITUDES,
         timing=(timing(run_a), timing(run_b)),
         pairs=pairs,
         step_s=step_s,
@@ -277,7 +287,7 @@ def _differences(pairs: tuple[Pair, ...], arm: int, mounts: tuple[Mounts, Mounts
     )
 
 
-def _vector(pairs: tuple[Pair, ...], *, free: bool) -> Spread:
+def _vector(pairs: tuple[Pair, ...], *, free: bool) -> Magnitudes:
     """Return the difference of the vector from flange to flange, which hides errors that both arms share."""
     found = []
     for each in pairs:

@@ -41,7 +41,7 @@ class Column(Generic[Item]):
 
 
 @dataclass(frozen=True)
-class Row:
+class PageRow:
     """One row of a table.
 
     Attributes:
@@ -56,7 +56,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Table:
+class PageTable:
     """A table, as the macro `table` of `parts.html` takes it.
 
     Attributes:
@@ -67,12 +67,12 @@ class Table:
 
     name: str
     columns: tuple[Column[Any], ...]
-    rows: tuple[Row, ...]
+    rows: tuple[PageRow, ...]
 
     @classmethod
-    def of(cls, name: str, columns: Sequence[Column[Item]], items: Iterable[tuple[str, str, Item]]) -> Table:
+    def of(cls, name: str, columns: Sequence[Column[Item]], items: Iterable[tuple[str, str, Item]]) -> PageTable:
         """Return the table with a row for each title, kind and item."""
-        rows = (Row(title, tuple(_cell(each.cell(item)) for each in columns), kind) for title, kind, item in items)
+        rows = (PageRow(title, tuple(_cell(each.cell(item)) for each in columns), kind) for title, kind, item in items)
         return cls(name, tuple(columns), tuple(rows))
 
 

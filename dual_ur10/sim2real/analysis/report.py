@@ -13,10 +13,10 @@ import numpy as np
 from dual_ur10.errors import MissingExtraError
 from dual_ur10.ids import __version__
 from dual_ur10.sim2real.analysis.compare import ArmComparison, Comparison, Differences
-from dual_ur10.sim2real.analysis.page import Column, Item, Table, number, render
+from dual_ur10.sim2real.analysis.page import Column, Item, PageTable, number, render
 from dual_ur10.sim2real.analysis.parity import Parity
-from dual_ur10.sim2real.analysis.series import NO_SPREAD, Spread
-from dual_ur10.sim2real.analysis.timing import LATE_S, MOVING_M_S, RIPPLE_WINDOW_S, ArmTiming, Timing
+from dual_ur10.sim2real.analysis.series import NO_MAGNITUDES, Magnitudes
+from dual_ur10.sim2real.analysis.timing import LATE_S, MOVING_M_S, RIPPLE_WINDOW_S, ArmTiming, TimingReport
 from dual_ur10.sim2real.recording.run import Header
 from ur_core.files import write_text
 from ur_core.kinematics.ur10 import ARMS, JOINTS
@@ -73,11 +73,11 @@ def report(found: Comparison, names: tuple[str, str] = ("run A", "run B")) -> st
         lag_reasons=[f"{name}: {arm.lag.reason}" for name, arm in _arms(found) if arm.lag.reason],
         joints=_joints(found),
         skews=[f"run {run}: {_skew(each)}" for run, each in zip("AB", found.timing, strict=True)],
-        timing=Table.of("timing", _TIMING_COLUMNS, [(title, "", each) for title, each in _timings(found)]),
+        timing=PageTable.of("timing", _TIMING_COLUMNS, [(title, "", each) for title, each in _timings(found)]),
         timing_reasons=_timing_reasons(found),
         ripple_window_s=RIPPLE_WINDOW_S,
         moving_m_s=MOVING_M_S,
-        sent=Table.of("sent", _SENT_COLUMNS, [(name, "", arm.sent) for name, arm in _arms(found)]),
+        sent=PageTable.of("sent", _SENT_COLUMNS, [(name, "", arm.sent) for name, arm in _arms(found)]),
         differences=_sent_differences(found),
     )
 
@@ -98,7 +98,7 @@ def _tiles(found: Comparison) -> list[tuple[str, str, str]]:
     ]
 
 
-def _runs(found: Comparison, names: tuple[str, str]) -> Table:
+def _runs(found: Comparison, names: tuple[str, str]) -> PageTable:
     a, b = found.headers
     rows: list[tuple[str, tuple[object, object]]] = [
         ("recording", names),
@@ -119,7 +119,7 @@ def _runs(found: Comparison, names: tuple[str, str]) -> Table:
         Column("run A", "", lambda pair: str(pair[0])),
         Column("run B", "", lambda pair: str(pair[1])),
     ]
-    return Table.of("runs", columns, [(title, "", pair) for title, pair in rows])
+    return PageTable.of("runs", columns, [(title, "", pair) for title, pair in rows])
 
 
 def _short(sha256: object) -> str:
@@ -142,13 +142,13 @@ def _profile(header: Header) -> str:
     return f"lookahead {each['lookahead_s']:g} s, gain {each['gain']:g}"
 
 
-def _size(title: str, unit: str, spread_of: Callable[[Item], Spread]) -> list[Column[Item]]:
+def _size(title: str, unit: str, spread_of: Callable[[Item], Magnitudes]) -> list[Column[Item]]:
     """Return the columns of a spread in thousandths of its unit."""
     names = (("RMS", "rms"), ("p99", "p99"), ("max", "most"))
     return [Column(f"{title} {name}".strip(), unit, _thousandths(spread_of, field)) for name, field in names]
 
 
-def _thousandths(spread_of: Callable[[Item], Spread], field: str) -> Callable[[Item], float]:
+def _thousandths(spread_of: Callable[[Item], Magnitudes], field: str) -> Callable[[Item], float]:
     return lambda item: 1e3 * float(getattr(spread_of(item), field))
 
 
@@ -168,7 +168,7 @@ _FLANGE_COLUMNS: Final[list[Column[Differences]]] = [
 ]
 
 
-def _flanges(found: Comparison) -> Table:
+def _flanges(found: Comparison) -> PageTable:
     rows = []
     for name, arm in _arms(found):
         rows.append((f"{name}, as it is", "", arm.found))
@@ -176,15 +176,15 @@ def _flanges(found: Comparison) -> Table:
             rows.append((f"{name}, {number(1e3 * arm.lag.value)} ms lag off", "ours", arm.free))
     rows.append(("left − right, as it is", "", _vector(found.vector_m)))
     rows.append(("left − right, lags off", "ours", _vector(found.vector_free_m)))
-    return Table.of("flanges", _FLANGE_COLUMNS, rows)
+    return PageTable.of("flanges", _FLANGE_COLUMNS, rows)
 
 
-def _vector(size: Spread) -> Differences:
+def _vector(size: Magnitudes) -> Differences:
     """Return differences of which only the distance is known."""
-    return Differences((NO_SPREAD,) * 6, size, (NO_SPREAD,) * 3, np.full(3, math.nan), NO_SPREAD)
+    return Differences((NO_MAGNITUDES,) * 6, size, (NO_MAGNITUDES,) * 3, np.full(3, math.nan), NO_MAGNITUDES)
 
 
-_Joint = tuple[Spread, ...]
+_Joint = tuple[Magnitudes, ...]
 
 _JOINT_COLUMNS: Final[list[Column[_Joint]]] = [
     *_size(ARMS[0], "mrad", lambda sizes: sizes[0]),
@@ -192,14 +192,14 @@ _JOINT_COLUMNS: Final[list[Column[_Joint]]] = [
 ]
 
 
-def _joints(found: Comparison) -> Table:
+def _joints(found: Comparison) -> PageTable:
     rows = []
     for joint, name in enumerate(JOINTS):
         title = name.removesuffix("_joint").replace("_", " ")
-        free = (NO_SPREAD if arm.free is None else arm.free.joints_rad[joint] for arm in found.arms)
+        free = (NO_MAGNITUDES if arm.free is None else arm.free.joints_rad[joint] for arm in found.arms)
         rows.append((f"{title}, as it is", "", tuple(arm.found.joints_rad[joint] for arm in found.arms)))
         rows.append((f"{title}, lag taken off", "ours", tuple(free)))
-    return Table.of("joints", _JOINT_COLUMNS, rows)
+    return PageTable.of("joints", _JOINT_COLUMNS, rows)
 
 
 def _later(k: int) -> Column[ArmTiming]:
@@ -237,7 +237,7 @@ def _timing_reasons(found: Comparison) -> list[str]:
     return list(dict.fromkeys(reasons))
 
 
-def _skew(timing: Timing) -> str:
+def _skew(timing: TimingReport) -> str:
     each = timing.skew_s
     return timing.skew_reason or (
         f"RMS {number(1e3 * each.rms)} ms, p99 {number(1e3 * each.p99)} ms, max {number(1e3 * each.most)} ms"

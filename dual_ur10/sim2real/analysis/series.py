@@ -41,7 +41,7 @@ def none(reason: str) -> Value:
     return Value(math.nan, reason)
 
 
-class Spread(NamedTuple):
+class Magnitudes(NamedTuple):
     """Magnitudes of many numbers: root mean square, 99th percentile and maximum."""
 
     rms: float
@@ -49,15 +49,15 @@ class Spread(NamedTuple):
     most: float
 
 
-NO_SPREAD = Spread(math.nan, math.nan, math.nan)
+NO_MAGNITUDES = Magnitudes(math.nan, math.nan, math.nan)
 
 
-def spread(values: Array) -> Spread:
+def spread(values: Array) -> Magnitudes:
     """Return the magnitudes of numbers of any shape; NaN where there are none."""
     sizes = np.abs(values)
     if not sizes.size:
-        return NO_SPREAD
-    return Spread(float(np.sqrt((sizes * sizes).mean())), float(np.percentile(sizes, 99)), float(sizes.max()))
+        return NO_MAGNITUDES
+    return Magnitudes(float(np.sqrt((sizes * sizes).mean())), float(np.percentile(sizes, 99)), float(sizes.max()))
 
 
 def lengths(vectors: Array) -> Array:

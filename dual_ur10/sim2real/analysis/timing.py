@@ -10,8 +10,8 @@ import numpy as np
 
 from dual_ur10.errors import RecordingError
 from dual_ur10.sim2real.analysis.series import (
-    NO_SPREAD,
-    Spread,
+    NO_MAGNITUDES,
+    Magnitudes,
     Value,
     interpolate,
     lag,
@@ -73,7 +73,7 @@ class Ripple:
         reason: Reason why there is none; "" if there is.
     """
 
-    size_m_s: Spread
+    size_m_s: Magnitudes
     reason: str = ""
 
 
@@ -112,7 +112,7 @@ class ArmTiming:
 
 
 @dataclass(frozen=True)
-class Timing:
+class TimingReport:
     """Figures of one run.
 
     Attributes:
@@ -123,12 +123,12 @@ class Timing:
     """
 
     arms: tuple[ArmTiming, ArmTiming]
-    skew_s: Spread
+    skew_s: Magnitudes
     skew_reason: str
     skews_s: Array
 
 
-def timing(run: Run) -> Timing:
+def timing(run: Run) -> TimingReport:
     """Return the figures of a run, over all its episodes.
 
     Raises:
@@ -147,7 +147,7 @@ def timing(run: Run) -> Timing:
     skews = [_skews(left, right) for left, right in episodes]
     skews_s = np.concatenate(skews) if skews else np.zeros(0)
     reason = "" if skews_s.size else "no target was sent to both arms"
-    return Timing((arms[0], arms[1]), spread(skews_s), reason, skews_s)
+    return TimingReport((arms[0], arms[1]), spread(skews_s), reason, skews_s)
 
 
 def _episodes(run: Run) -> list[tuple[Track, Track]]:
@@ -230,7 +230,7 @@ def _ripple(run: Run, arms: list[Track], arm: int) -> Ripple:
         found.append(ripple_of(flange_of(mount, interpolate(each.time_s, each.q_rad, grid))[0], step_s))
     sizes = np.concatenate(found) if found else np.zeros(0)
     if not sizes.size:
-        return Ripple(NO_SPREAD, f"the flange did not move faster than {1e3 * MOVING_M_S:g} mm/s, or not for long")
+        return Ripple(NO_MAGNITUDES, f"the flange did not move faster than {1e3 * MOVING_M_S:g} mm/s, or not for long")
     return Ripple(spread(sizes))
 
 

@@ -83,7 +83,7 @@ class Board:
         return self.squares_x * self.squares_y // 2
 
 
-class Camera(NamedTuple):
+class Intrinsics(NamedTuple):
     """Intrinsics of a camera.
 
     Attributes:
@@ -186,7 +186,7 @@ def _check_plane(cv2: Any, cv_board: Any, board: Board, marker_corners: Any, ids
         )
 
 
-def calibrated_camera(images: Sequence[Path], board: Board) -> Camera:
+def calibrated_camera(images: Sequence[Path], board: Board) -> Intrinsics:
     """Calibrate a camera from its images of the board, with two radial and two tangential coefficients.
 
     Raises:
@@ -213,10 +213,10 @@ def calibrated_camera(images: Sequence[Path], board: Board) -> Camera:
             "the focus, and take them again"
         )
     fx, fy, cx, cy = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
-    return Camera((float(fx), float(fy), float(cx), float(cy)), tuple(map(float, np.ravel(distortion)[:4])))
+    return Intrinsics((float(fx), float(fy), float(cx), float(cy)), tuple(map(float, np.ravel(distortion)[:4])))
 
 
-def located(path: Path, board: Board, camera: Camera) -> tuple[Vector3, Vector3]:
+def located(path: Path, board: Board, camera: Intrinsics) -> tuple[Vector3, Vector3]:
     """Return the pose of the board in an image.
 
     Returns:

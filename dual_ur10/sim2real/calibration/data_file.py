@@ -13,7 +13,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from dual_ur10.errors import CalibrationError
-from dual_ur10.sim2real.calibration.board import Board, Camera, calibrated_camera, located
+from dual_ur10.sim2real.calibration.board import Board, Intrinsics, calibrated_camera, located
 from dual_ur10.sim2real.calibration.observations import BarPose, BoardView, Carrier, Noise, Observation, Touch
 from ur_core.files import read_named, write_text
 from ur_core.findings import listed
@@ -81,7 +81,7 @@ class BoardEntry(_Entry):
 
 
 class CameraEntry(_Entry):
-    """Intrinsics of a camera; see `Camera`."""
+    """Intrinsics of a camera; see `Intrinsics`."""
 
     matrix_px: tuple[float, float, float, float]
     distortion: Annotated[tuple[float, ...], Field(max_length=8)] = ()
@@ -133,7 +133,7 @@ class DataFile(_Entry):
             CalibrationError: An observation is out of range, or an image does not show the board.
             MissingExtraError: There are images, and OpenCV is not installed.
         """
-        cameras = {name: Camera(each.matrix_px, each.distortion) for name, each in self.cameras.items()}
+        cameras = {name: Intrinsics(each.matrix_px, each.distortion) for name, each in self.cameras.items()}
         found: list[Observation] = []
         for number, entry in enumerate(self.observations, start=1):
             try:
@@ -142,7 +142,7 @@ class DataFile(_Entry):
                 raise CalibrationError(f"observation {number}: {error}") from error
         return found
 
-    def _measured(self, entry: Any, folder: Path, cameras: dict[Carrier, Camera]) -> Observation:
+    def _measured(self, entry: Any, folder: Path, cameras: dict[Carrier, Intrinsics]) -> Observation:
         if isinstance(entry, TouchEntry):
             return Touch(entry.left_q_rad, entry.right_q_rad, entry.left_tcp_m, entry.right_tcp_m)
         if isinstance(entry, BarEntry):

@@ -18,10 +18,10 @@ from dual_ur10.sim2real.cell_file.cell_file import CellFile
 from dual_ur10.sim2real.commissioning.operator_prompts import Confirm
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.control.link_profiles import LinkProfile
-from dual_ur10.sim2real.programs.program_link import Observer, ProgrammedArms
-from dual_ur10.sim2real.programs.stream_motion import Progress, StreamMotion, slowed
+from dual_ur10.sim2real.programs.program_link import MotionObserver, ProgrammedArms
+from dual_ur10.sim2real.programs.stream_motion import PathProgress, StreamMotion, slowed
 from dual_ur10.sim2real.programs.stream_script import NOMINAL_RATE, moves_script, points_script
-from dual_ur10.sim2real.trajectory.interpolation import Interpolation, Motion
+from dual_ur10.sim2real.trajectory.interpolation import Interpolation, JointMotion
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
 from dual_ur10.sim2real.trajectory.point_path import PointPath, check_targets
 from ur_core.kinematics.ur10 import ARMS
@@ -57,7 +57,7 @@ class PointStream(ProgrammedArms):
         *,
         limits: MotionLimits | None = None,
         confirm: Confirm | None = None,
-        observer: Observer | None = None,
+        observer: MotionObserver | None = None,
         system: System = LOCAL,
     ) -> None:
         if profile.mode == "servoj":
@@ -111,7 +111,7 @@ class PointStream(ProgrammedArms):
             TrajectoryError: It does not begin or end at rest.
         """
         rows = [ARMS.index(arm) for arm in trajectory.arms]
-        motion = Interpolation(trajectory, Motion.at_rest(np.asarray(here_rad)[rows]))
+        motion = Interpolation(trajectory, JointMotion.at_rest(np.asarray(here_rad)[rows]))
         # With a target at rest before the start and one after the end, as cubics begin and end with an acceleration.
         ticks = np.arange(-1, 2 + math.ceil(trajectory.duration_s / self._tick_s), dtype=np.float64)
         targets = np.tile(here_rad, (len(ticks), 1, 1))
@@ -138,7 +138,7 @@ class PointStream(ProgrammedArms):
         path: PointPath,
         *,
         canceled: Callable[[], bool] | None = None,
-        feedback: Callable[[Progress], None] | None = None,
+        feedback: Callable[[PathProgress], None] | None = None,
     ) -> bool:
         """Follow a path with both arms, and return True at its end.
 

@@ -20,7 +20,7 @@ _LOG: Final = logging.getLogger(__name__)
 
 
 class ProgramBox:
-    """Keeper of the last seconds, a `dual_ur10.sim2real.programs.program_link.Observer`.
+    """Keeper of the last seconds, a `dual_ur10.sim2real.programs.program_link.MotionObserver`.
 
     It writes to a disk only after a stop, when the arms rest or stop by themselves.
 

@@ -26,7 +26,7 @@ from dual_ur10.sim2real.programs.stream_script import (
     OUTPUTS,
     STATE,
     TOKEN,
-    Command,
+    ProgramCommand,
     State,
 )
 from dual_ur10.sim2real.runtime.latch import Claim
@@ -53,7 +53,7 @@ _POLL_S: Final = 0.01
 _ROUND_TRIPS: Final = 5
 
 
-class Observer(Protocol):
+class MotionObserver(Protocol):
     """Keeper of what arms did, such as a black box. Its methods do not wait while the arms move."""
 
     def state(self, arm: int, status: ArmStatus) -> None:
@@ -91,7 +91,7 @@ class ProgramLink(Closing):
     """
 
     def __init__(
-        self, name: str, entry: ArmEntry, rate_hz: float, most_s: float, observer: Observer | None, system: System
+        self, name: str, entry: ArmEntry, rate_hz: float, most_s: float, observer: MotionObserver | None, system: System
     ) -> None:
         self.name, self._clock, self._system, self._host = name, system.clock, system, entry.host
         self._number, self._observer = ARMS.index(name), observer
@@ -140,7 +140,7 @@ class ProgramLink(Closing):
     def upload(self, text: str, token: int) -> None:
         """Start a program."""
         self.token = token
-        self.values.update(command=Command.WAIT, number=0, shift=0.0, rate=NOMINAL_RATE)
+        self.values.update(command=ProgramCommand.WAIT, number=0, shift=0.0, rate=NOMINAL_RATE)
         self.late_s.clear()
         self.send()
         deadline_s = self._clock.now_s() + CONNECT_S
@@ -239,7 +239,7 @@ class ProgrammedArms(Closing):
         most_s: float,
         *,
         confirm: Confirm | None,
-        observer: Observer | None,
+        observer: MotionObserver | None,
         system: System,
     ) -> None:
         self._file, self._clock, self._confirm = file, system.clock, prompt_for(file, confirm)
@@ -317,7 +317,7 @@ def stop_programs(arms: Sequence[ProgramLink], clock: Clock) -> tuple[str, ...]:
     pending, mute = [], []
     for arm in arms:
         try:
-            arm.values["command"] = Command.STOP
+            arm.values["command"] = ProgramCommand.STOP
             arm.send()
             pending.append(arm)
         except DualUR10Error:

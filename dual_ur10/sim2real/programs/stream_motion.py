@@ -19,7 +19,7 @@ from dual_ur10.sim2real.programs.stream_script import (
     REASONS,
     STATE,
     TOKEN,
-    Command,
+    ProgramCommand,
     State,
 )
 from dual_ur10.sim2real.trajectory.point_path import PointPath
@@ -35,7 +35,7 @@ _STALE_S: Final = 0.2  # oldest state of a controller, in addition to an interva
 _GAIN_1_S: Final = 0.5  # of the correction of the rate, per second of difference
 
 
-class Progress(NamedTuple):
+class PathProgress(NamedTuple):
     """State of one arm on its path, as its controller reported it.
 
     Attributes:
@@ -60,7 +60,7 @@ class StreamMotion:
         path: PointPath,
         profile: LinkProfile,
         clock: Clock,
-        feedback: Callable[[Progress], None] | None,
+        feedback: Callable[[PathProgress], None] | None,
         *,
         emulated: bool = False,
     ) -> None:
@@ -99,7 +99,7 @@ class StreamMotion:
                     arm.wait(lambda state, seen, number=number: state == State.WAITING and seen == number, "a point")  # type: ignore[misc]  # a default binds the loop's value
         self._begin_s = self._clock.now_s()
         for arm in self._arms:
-            arm.values["command"] = Command.RUN
+            arm.values["command"] = ProgramCommand.RUN
             arm.send()
         while True:
             self._next_s = self._due_s(number + 1)
@@ -190,7 +190,7 @@ class StreamMotion:
                 late_s = math.nan if self._moves else (sample.arrival_s - self._begin_s) * NOMINAL_RATE - path_s
                 arm.late_s.append(late_s)
                 if self._feedback is not None:
-                    self._feedback(Progress(number, path_s, late_s, status))
+                    self._feedback(PathProgress(number, path_s, late_s, status))
             ended.append(state == State.FINISHED and status.runtime_state == RuntimeState.STOPPED)
         return all(ended)
 

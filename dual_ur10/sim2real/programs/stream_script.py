@@ -51,7 +51,7 @@ PATH_TIME: Final = f"output_double_register_{FIRST}"
 OUTPUTS: Final = (STATE, NUMBER, TOKEN, PATH_TIME)
 
 
-class Command(IntEnum):
+class ProgramCommand(IntEnum):
     """Commands to a program."""
 
     WAIT = 0
@@ -92,7 +92,7 @@ _READ: Final = f"""
       command = read_input_integer_register({FIRST})
       number = read_input_integer_register({FIRST + 1})
       last = read_input_integer_register({FIRST + 2})
-      if command == {Command.STOP:d}:
+      if command == {ProgramCommand.STOP:d}:
         state = {State.STOPPED:d}
       elif number != accepted:
         j = 0
@@ -172,7 +172,7 @@ _POINTS: Final = f"""def dual_ur10_points():
       end
       accepted = number
     end
-    if state == {State.WAITING:d} and command == {Command.RUN:d} and accepted > 1:
+    if state == {State.WAITING:d} and command == {ProgramCommand.RUN:d} and accepted > 1:
       state = {State.MOVING:d}
     end
     if state == {State.MOVING:d}:
@@ -253,7 +253,7 @@ _MOVES: Final = f"""def dual_ur10_moves():
   mover = 0
   idle = 0
   while state < {State.FINISHED:d}:{_READ}
-    if fresh and not moving and command == {Command.RUN:d}:
+    if fresh and not moving and command == {ProgramCommand.RUN:d}:
       fresh = False
       if number != accepted + 1:
         state = {State.GAP:d}

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from dual_ur10.errors import RecordingError
-from dual_ur10.sim2real.recording.run import Event, Header
+from dual_ur10.sim2real.recording.run import Header, RunEvent
 from dual_ur10.sim2real.recording.schemas import BEGIN, EPISODE_TOPIC, STATE_COLUMNS, STEP, STEP_TOPIC, Columns
 from dual_ur10.sim2real.recording.writer import RunWriter
 from ur_core.types import Array
@@ -87,7 +87,7 @@ class BlackBox:
                 writer.single(EPISODE_TOPIC, self._kept[0].time_s if self._kept else now_s, self._begin)
             for each in self._kept:
                 each.write(writer)
-            writer.event(Event(now_s, "stop", reason))
+            writer.event(RunEvent(now_s, "stop", reason))
         return writer.path
 
     def _new(self) -> RunWriter:

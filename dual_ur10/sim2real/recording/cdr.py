@@ -20,7 +20,7 @@ HEAD: Final = b"\x00\x01\x00\x00"
 _NUMBERS: Final = {"float64": ("<d", 8), "int64": ("<q", 8), "bool": ("<?", 1), "int8": ("<b", 1)}
 
 
-class Field(NamedTuple):
+class CdrField(NamedTuple):
     """A field of a message.
 
     Attributes:
@@ -47,7 +47,7 @@ class Schema(NamedTuple):
     """
 
     name: str
-    fields: tuple[Field, ...]
+    fields: tuple[CdrField, ...]
 
     @property
     def text(self) -> str:
@@ -131,7 +131,7 @@ def _decoder(schema: Schema) -> Callable[[bytes], Any]:
     return decoder
 
 
-def _value(field: Field, value: Any) -> Any:
+def _value(field: CdrField, value: Any) -> Any:
     return np.array(value, dtype=np.float64) if field.kind.startswith("float64[") else value
 
 

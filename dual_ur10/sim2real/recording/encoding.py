@@ -14,7 +14,7 @@ from dual_ur10.errors import RecordingError
 from dual_ur10.sim2real.recording import mcap_records as mcap
 from dual_ur10.sim2real.recording.cdr import HEAD
 from dual_ur10.sim2real.recording.header import METADATA_NAME, to_metadata
-from dual_ur10.sim2real.recording.run import Event, Header
+from dual_ur10.sim2real.recording.run import Header, RunEvent
 from dual_ur10.sim2real.recording.schemas import (
     EVENT,
     EVENT_TOPIC,
@@ -111,7 +111,7 @@ class Encoder:
         record = single_record(number, self._count(number, 1), int(log[0]), data)
         return [Messages(number, log, record)]
 
-    def event(self, event: Event) -> list[Messages]:
+    def event(self, event: RunEvent) -> list[Messages]:
         """Encode an event."""
         return self.single(EVENT_TOPIC, event.time_s, EVENT.encode(vars(event)))
 

@@ -20,7 +20,7 @@ from pydantic import TypeAdapter, ValidationError
 from dual_ur10.errors import RecordingError, SettingsError, UnknownNameError
 from dual_ur10.ids import __version__
 from dual_ur10.sim2real.cell.cell_config import CellConfig
-from dual_ur10.sim2real.recording.run import Header, Mount, Servoj, Source
+from dual_ur10.sim2real.recording.run import Header, Mount, ServojSettings, Source
 from ur_core.findings import listed
 from ur_core.kinematics.frames import ArmMount
 from ur_core.kinematics.ur10 import DHParameters, nominal_dh
@@ -56,7 +56,7 @@ def describe(
     Raises:
         RecordingError: A keyword cannot be described in JSON.
     """
-    servoj = Servoj(lookahead_s=config.servoj.lookahead_s, gain=config.servoj.gain)
+    servoj = ServojSettings(lookahead_s=config.servoj.lookahead_s, gain=config.servoj.gain)
     return Header(
         env_id=env_id,
         kwargs=plain({name: value for name, value in kwargs.items() if not callable(value)}),

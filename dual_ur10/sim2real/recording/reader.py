@@ -13,7 +13,7 @@ from dual_ur10.errors import RecordingError
 from dual_ur10.sim2real.recording.cdr import HEAD
 from dual_ur10.sim2real.recording.episodes import read_episodes
 from dual_ur10.sim2real.recording.header import METADATA_NAME, from_metadata
-from dual_ur10.sim2real.recording.run import ArmLog, Event, Run
+from dual_ur10.sim2real.recording.run import ArmLog, Run, RunEvent
 from dual_ur10.sim2real.recording.run_folder import RUN_FILE
 from dual_ur10.sim2real.recording.scan import MOST_BYTES, Scanned, scan
 from dual_ur10.sim2real.recording.schemas import (
@@ -156,8 +156,8 @@ def _check_sorted(times: Array, topic: str, name: str) -> None:
         raise RecordingError(f"{topic}, row {row}: {name} goes back from {times[row - 1]:.6f} to {times[row]:.6f}")
 
 
-def _event(row: int, data: bytes) -> Event:
-    event = Event(**EVENT.decode(data))
+def _event(row: int, data: bytes) -> RunEvent:
+    event = RunEvent(**EVENT.decode(data))
     if not np.isfinite(event.time_s) or event.arm not in ("", *ARMS):
         raise RecordingError(f"{EVENT_TOPIC}, row {row}: time {event.time_s} or arm {event.arm!r:.40} is not legal")
     return event

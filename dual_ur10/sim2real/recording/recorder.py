@@ -20,7 +20,7 @@ from dual_ur10.sim2real.recording.recorder_process import (
     take_frames,
 )
 from dual_ur10.sim2real.recording.rows import BeginRow, StepRow
-from dual_ur10.sim2real.recording.run import Event, Header
+from dual_ur10.sim2real.recording.run import Header, RunEvent
 from dual_ur10.sim2real.recording.run_folder import LEAST_FREE_BYTES
 from dual_ur10.sim2real.recording.schemas import EPISODE_TOPIC, EVENT, EVENT_TOPIC, STEP_TOPIC, TOPICS
 from ur_core.processes.interrupts import interrupts_deferred
@@ -117,7 +117,7 @@ class RecorderProcess:
     def event(self, kind: str, text: str, arm: str = "", time_s: float | None = None) -> None:
         """Record an event; `time_s` None: now."""
         time_s = self.now_s if time_s is None else time_s
-        self._single(EVENT_TOPIC, time_s, EVENT.encode(vars(Event(time_s, kind, text, arm))))
+        self._single(EVENT_TOPIC, time_s, EVENT.encode(vars(RunEvent(time_s, kind, text, arm))))
 
     def black_box(self, reason: str) -> None:
         """Write a black box, about a second from now, so that the stop itself is in it."""

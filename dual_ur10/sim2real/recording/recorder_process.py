@@ -13,7 +13,7 @@ import numpy as np
 from dual_ur10.errors import MissingExtraError, RecordingError
 from dual_ur10.sim2real.recording.black_box import BlackBox
 from dual_ur10.sim2real.recording.cdr import check_extra
-from dual_ur10.sim2real.recording.run import Event, Header
+from dual_ur10.sim2real.recording.run import Header, RunEvent
 from dual_ur10.sim2real.recording.run_folder import RunLog
 from dual_ur10.sim2real.recording.schemas import EVENT, EVENT_TOPIC, TOPICS
 from dual_ur10.sim2real.recording.writer import RunWriter
@@ -109,11 +109,11 @@ class Recorder:
         if self._writer is not None:
             self._writer.single(topic, time_s, data)
         if topic == EVENT_TOPIC and self._log is not None:
-            self._guarded(self._log, Event(**EVENT.decode(data)))
+            self._guarded(self._log, RunEvent(**EVENT.decode(data)))
 
     def event(self, kind: str, text: str, arm: str = "") -> None:
         """Record an event of the present instant."""
-        event = Event(self.now_s, kind, text, arm)
+        event = RunEvent(self.now_s, kind, text, arm)
         self.add(EVENT_TOPIC, event.time_s, EVENT.encode(vars(event)))
 
     def ask_black_box(self, reason: str) -> None:

@@ -56,7 +56,7 @@ class Mount(TypedDict, total=False):
 
 
 @with_config(_STRICT)
-class Servoj(TypedDict):
+class ServojSettings(TypedDict):
     """Settings of `servoj` for an arm."""
 
     lookahead_s: Annotated[float, Field(gt=0.0, lt=_MOST_SERVOJ)]
@@ -107,7 +107,7 @@ class Header:
     latency_ticks: Annotated[int, Field(ge=0, le=_MOST_TICKS)]
     speed_factor: Annotated[float, Field(ge=0.0, le=1.0)]
     mounts: Annotated[list[Mount], _Pair]
-    servoj: Annotated[list[Servoj], _Pair]
+    servoj: Annotated[list[ServojSettings], _Pair]
     versions: dict[str, str]
     started_utc: str
     policy: str
@@ -181,7 +181,7 @@ class Episode:
 
 
 @dataclass(frozen=True)
-class Event:
+class RunEvent:
     """An event of a run.
 
     Attributes:
@@ -212,7 +212,7 @@ class Run:
     header: Header
     arms: tuple[ArmLog, ArmLog]
     episodes: list[Episode]
-    events: list[Event]
+    events: list[RunEvent]
     complete: bool
 
     def __repr__(self) -> str:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from dual_ur10.errors import RecordingError
-from dual_ur10.sim2real.recording.run import Event, Header
+from dual_ur10.sim2real.recording.run import Header, RunEvent
 
 _LOG: Final = logging.getLogger(__name__)
 
@@ -114,9 +114,9 @@ class RunLog:
         except OSError as error:
             raise RecordingError(f"cannot write the log {self.path}: {error}") from error
         policy = header.policy or "no policy named"
-        self(Event(0.0, "begin", f"{header.env_id} on {header.source}, {header.family}, {policy}"))
+        self(RunEvent(0.0, "begin", f"{header.env_id} on {header.source}, {header.family}, {policy}"))
 
-    def __call__(self, event: Event) -> None:
+    def __call__(self, event: RunEvent) -> None:
         """Write an event.
 
         Raises:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Final
 
 from dual_ur10.errors import RecordingError
-from dual_ur10.sim2real.recording.cdr import Field, Schema
+from dual_ur10.sim2real.recording.cdr import CdrField, Schema
 from ur_core.kinematics.ur10 import ARMS
 from ur_core.links.arm_status import ROW
 
@@ -52,14 +52,14 @@ uint32 nanosec
 
 def _schema(name: str, *fields: str) -> Schema:
     pairs = (field.split() for field in fields)
-    return Schema(f"dual_ur10_msgs/msg/{name}", tuple(Field(each, kind) for kind, each in pairs))
+    return Schema(f"dual_ur10_msgs/msg/{name}", tuple(CdrField(each, kind) for kind, each in pairs))
 
 
 def flat_schema(name: str, columns: Columns) -> Schema:
     """Return the definition of messages that are rows with these columns."""
     return Schema(
         f"dual_ur10_msgs/msg/{name}",
-        tuple(Field(each, "float64" if size == 1 else f"float64[{size}]") for each, size in columns),
+        tuple(CdrField(each, "float64" if size == 1 else f"float64[{size}]") for each, size in columns),
     )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from dual_ur10.errors import ResetNeededError
 from dual_ur10.sim2real.recording.header import mounts_of
 from dual_ur10.sim2real.recording.rows import BeginRow, StepRow
-from dual_ur10.sim2real.recording.run import Event, Header
+from dual_ur10.sim2real.recording.run import Header, RunEvent
 from dual_ur10.sim2real.recording.run_folder import LEAST_FREE_BYTES, RunLog
 from dual_ur10.sim2real.recording.schemas import EPISODE_TOPIC, SIMULATED_COLUMNS, STEP_TOPIC
 from dual_ur10.sim2real.recording.writer import RunWriter
@@ -120,7 +120,7 @@ class SimulationRecord:
         Raises:
             RecordingError: The file cannot be written.
         """
-        event = Event(self.now_s if time_s is None else time_s, kind, text, arm)
+        event = RunEvent(self.now_s if time_s is None else time_s, kind, text, arm)
         self.writer.event(event)
         self.writer.flush()
         self._log(event)

@@ -19,7 +19,7 @@ from dual_ur10.errors import ClosedError, RecordingError
 from dual_ur10.sim2real.recording import mcap_records as mcap
 from dual_ur10.sim2real.recording.encoding import NUMBERS, Encoder, Messages
 from dual_ur10.sim2real.recording.header import METADATA_NAME
-from dual_ur10.sim2real.recording.run import Event, Header
+from dual_ur10.sim2real.recording.run import Header, RunEvent
 from dual_ur10.sim2real.recording.run_folder import LEAST_FREE_BYTES, RUN_FILE, check_name, check_room
 from dual_ur10.sim2real.recording.schemas import STATE_COLUMNS, Columns
 from ur_core.types import Array, Closing
@@ -86,7 +86,7 @@ class RunWriter(Closing):
         """Add one encoded message."""
         self.add(self.encoder.single(topic, time_s, data))
 
-    def event(self, event: Event) -> None:
+    def event(self, event: RunEvent) -> None:
         """Add an event."""
         self.add(self.encoder.event(event))
 

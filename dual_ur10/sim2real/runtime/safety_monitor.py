@@ -11,7 +11,7 @@ import numpy as np
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_sender import STALE_S, WAITING_S, root_cause
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
-from dual_ur10.sim2real.runtime.tracking import Tracking
+from dual_ur10.sim2real.runtime.tracking import TrackingMonitor
 from ur_core.kinematics.forward import flange_pose_quat
 from ur_core.kinematics.frames import ArmMount, Frames
 from ur_core.kinematics.poses import Poses, length, relative_to, rotation_angle
@@ -79,7 +79,7 @@ class SafetyMonitor:
     ) -> None:
         self._settings, self._arms, self._cell, self._system = settings, arms, cell, system
         self.stalls = StallWatch(settings.emulated)
-        self._tracking = [Tracking() for _ in arms]
+        self._tracking = [TrackingMonitor() for _ in arms]
         self._latest: list[ArmStatus | None] = [None for _ in arms]
         self._fresh = [False for _ in arms]
         self._apart, self._most_apart = 0, round(APART_S / max(settings.tick_s, PERIOD_S))

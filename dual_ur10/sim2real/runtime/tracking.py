@@ -72,7 +72,7 @@ class Deviation:
         return self._text.format(joint=JOINTS[joint], found=found, allowed=allowed)
 
 
-class Tracking:
+class TrackingMonitor:
     """Deviation of an arm from its controller's target."""
 
     def __init__(self) -> None:
@@ -108,7 +108,7 @@ class Following:
         self._path: deque[Sequence[float]] = deque(maxlen=1 + periods + math.ceil(_PATH_S / servoj.tick_s))
         self._newest: Sequence[float] = ()
         self._index = -math.inf  # of the last target in both
-        self._tracking = Tracking()
+        self._tracking = TrackingMonitor()
         self._deviation = Deviation("{joint} has a target {found} rad from those sent, allowed are {allowed}")
         self.lost = False
 

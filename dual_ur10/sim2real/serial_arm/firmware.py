@@ -18,13 +18,13 @@ from dual_ur10.sim2real.serial_arm.protocol import (
     STOP_S,
     VERSION,
     WATCHDOG_S,
-    Frame,
+    FirmwareRefusal,
     FrameScanner,
     Info,
     MotionState,
     Point,
-    Refusal,
     Request,
+    SerialFrame,
     Status,
     encode,
     pack_info,
@@ -67,7 +67,7 @@ class SerialFirmware:
         self._scanner = FrameScanner()
         self._points: dict[int, list[Point]] = {number: [] for number in self._numbers}
         self._crc32 = 0
-        self._last: tuple[Frame, bytes] | None = None
+        self._last: tuple[SerialFrame, bytes] | None = None
         self._heard_s = 0.0
         self._begin_s = 0.0
         self._stop: tuple[float, float] | None = None  # time, and time on the path there
@@ -122,7 +122,7 @@ class SerialFirmware:
         if self._stop is None:
             self._stop = at_s, self._path_s(at_s)
 
-    def _answer(self, frame: Frame, now_s: float) -> bytes:
+    def _answer(self, frame: SerialFrame, now_s: float) -> bytes:
         if frame.kind == Request.HELLO:
             self._last = None
         if self._last is not None and self._last[0] == frame:
@@ -130,61 +130,61 @@ class SerialFirmware:
         try:
             refusal, data = self._execute(frame, now_s)
         except ProtocolError:
-            refusal, data = Refusal.UNKNOWN, b""
-        if refusal == Refusal.NONE:
+            refusal, data = FirmwareRefusal.UNKNOWN, b""
+        if refusal == FirmwareRefusal.NONE:
             self.executed.append(frame.kind)
-        answer = encode(Frame(frame.sequence, frame.kind | ANSWER, bytes([refusal]) + data))
+        answer = encode(SerialFrame(frame.sequence, frame.kind | ANSWER, bytes([refusal]) + data))
         self._last = frame, answer
         return answer
 
-    def _execute(self, frame: Frame, now_s: float) -> tuple[Refusal, bytes]:
+    def _execute(self, frame: SerialFrame, now_s: float) -> tuple[FirmwareRefusal, bytes]:
         kind, moving = frame.kind, self.state == MotionState.MOVING
         if kind == Request.HELLO:
-            return Refusal.NONE, pack_info(frame.payload, self.info)
+            return FirmwareRefusal.NONE, pack_info(frame.payload, self.info)
         if kind == Request.STATUS:
-            return Refusal.NONE, pack_status(self._status())
+            return FirmwareRefusal.NONE, pack_status(self._status())
         if kind == Request.STOP:
             if moving:
                 self._begin_stop(now_s)
-            return Refusal.NONE, b""
+            return FirmwareRefusal.NONE, b""
         if kind not in (Request.CLEAR, Request.POINT, Request.START):
-            return Refusal.UNKNOWN, b""
+            return FirmwareRefusal.UNKNOWN, b""
         if moving:
-            return Refusal.MOVING, b""
+            return FirmwareRefusal.MOVING, b""
         if kind == Request.CLEAR:
             self._crc32 = 0
             for each in self._points.values():
                 each.clear()
-            return Refusal.NONE, b""
+            return FirmwareRefusal.NONE, b""
         if kind == Request.POINT:
             return self._append(frame.payload), b""
         return self._begin(frame.payload, now_s), b""
 
-    def _append(self, payload: bytes) -> Refusal:
+    def _append(self, payload: bytes) -> FirmwareRefusal:
         point = unpack_point(payload)
         if point.arm not in self._points:
-            return Refusal.WRONG_POINT
+            return FirmwareRefusal.WRONG_POINT
         points = self._points[point.arm]
         if len(points) >= self.info.capacity:
-            return Refusal.BUFFER_FULL
+            return FirmwareRefusal.BUFFER_FULL
         if point.number != len(points) or point.time_s <= (points[-1].time_s if points else -1.0):
-            return Refusal.WRONG_POINT
+            return FirmwareRefusal.WRONG_POINT
         points.append(point)
         self._crc32 = binascii.crc32(payload, self._crc32)
-        return Refusal.NONE
+        return FirmwareRefusal.NONE
 
-    def _begin(self, payload: bytes, now_s: float) -> Refusal:
+    def _begin(self, payload: bytes, now_s: float) -> FirmwareRefusal:
         count, crc32 = unpack_start(payload)
         lengths = {len(each) for each in self._points.values()}
         ends = {each[-1].time_s for each in self._points.values() if each}
         if count < 2 or lengths != {count} or crc32 != self._crc32 or len(ends) != 1:
-            return Refusal.INCOMPLETE
+            return FirmwareRefusal.INCOMPLETE
         first = np.array([self._points[number][0].q_rad for number in self._numbers])
         if self._q is not None and np.abs(first - self._q).max() > START_TOLERANCE_RAD:
-            return Refusal.WRONG_START
+            return FirmwareRefusal.WRONG_START
         self.state, self._q, self._begin_s = MotionState.MOVING, first, now_s
         self._stop, self._by_watchdog, self._elapsed_s = None, False, 0.0
-        return Refusal.NONE
+        return FirmwareRefusal.NONE
 
     def _status(self) -> Status:
         q = np.zeros((len(self._numbers), 6)) if self._q is None else self._q

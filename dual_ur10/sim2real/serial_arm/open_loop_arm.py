@@ -51,7 +51,7 @@ _LATE_S: Final = 1.0
 _ROUNDING_RAD: Final = 2e-6  # numbers travel in microradians
 
 
-class Commanded(NamedTuple):
+class LastCommand(NamedTuple):
     """Content of the file.
 
     Attributes:
@@ -85,7 +85,7 @@ class CommandedPositions:
         self._arms, self._system = arms, system
         self.path = system.state_folder() / f"serial-arm-{device:08x}.json"
 
-    def read(self) -> Commanded | None:
+    def read(self) -> LastCommand | None:
         """Return the content, or None if nothing was ever commanded.
 
         Raises:
@@ -94,7 +94,7 @@ class CommandedPositions:
         try:
             with self.path.open("rb") as file:
                 values = json.loads(file.read(_MOST_BYTES))
-            found = Commanded(tuple(_six(row) for row in values["q_rad"]), values["settled"], values["boot"])
+            found = LastCommand(tuple(_six(row) for row in values["q_rad"]), values["settled"], values["boot"])
             if len(found.q_rad) != self._arms or type(found.settled) is not bool or type(found.boot) is not int:
                 raise ValueError(f"it is not that of {self._arms} arm(s)")
             return found
@@ -106,7 +106,7 @@ class CommandedPositions:
                 "stands, move the file away, and declare the position"
             ) from error
 
-    def write(self, commanded: Commanded) -> None:
+    def write(self, commanded: LastCommand) -> None:
         """Replace the content.
 
         Raises:
@@ -380,10 +380,10 @@ class _Motion:
         """Follow the points, and return the result."""
         boot = self._info.boot
         try:
-            self._positions.write(Commanded(_rows(self._start), False, boot))
+            self._positions.write(LastCommand(_rows(self._start), False, boot))
             self._line.ask(Request.START, pack_start(self._points, self._crc32))
         except OperationRefusedError as error:
-            self._positions.write(Commanded(_rows(self._start), True, boot))
+            self._positions.write(LastCommand(_rows(self._start), True, boot))
             return _rejected(error)
         except LinkError as error:  # the request may have arrived
             return self._lost(str(error))
@@ -412,7 +412,7 @@ class _Motion:
 
     def _ended(self, status: Status, stopped: str) -> SerialResult:
         q = np.array(status.q_rad)
-        self._positions.write(Commanded(_rows(q), True, self._info.boot))
+        self._positions.write(LastCommand(_rows(q), True, self._info.boot))
         off = float(np.abs(q - self._trajectory.q_rad[-1]).max())
         if status.state == MotionState.DONE and off <= _ROUNDING_RAD:
             return SerialResult(GoalState.SUCCEEDED, ResultCode.SUCCESSFUL, "reached", q_rad=q)

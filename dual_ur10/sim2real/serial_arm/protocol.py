@@ -7,7 +7,7 @@ A host asks, and the firmware answers: one request is on its way at a time. A fr
 with `length` the bytes of the payload, at most `MOST_PAYLOAD`, so that a frame fits the 64 bytes that the UART driver
 of an Arduino Mega buffers. The CRC is CRC-16/CCITT (polynomial 1021, initial value FFFF), high byte first, over length,
 sequence, kind and payload. All numbers are big-endian. An answer has the sequence of its request and its kind plus
-`ANSWER`; its payload begins with a `Refusal`, 0 if the request was executed.
+`ANSWER`; its payload begins with a `FirmwareRefusal`, 0 if the request was executed.
 
 A host that gets no answer sends the same frame again. The firmware executes a request with the sequence of the last one
 not again: it repeats its answer. `Request.HELLO` begins a new numbering.
@@ -68,7 +68,7 @@ class Request(IntEnum):
     STOP = 6
 
 
-class Refusal(IntEnum):
+class FirmwareRefusal(IntEnum):
     """Reason for which a firmware has not executed a request."""
 
     NONE = 0
@@ -89,7 +89,7 @@ class MotionState(IntEnum):
     STOPPED = 3
 
 
-class Frame(NamedTuple):
+class SerialFrame(NamedTuple):
     """Content of a frame."""
 
     sequence: int
@@ -156,7 +156,7 @@ def crc16(data: bytes) -> int:
     return binascii.crc_hqx(data, 0xFFFF)
 
 
-def encode(frame: Frame) -> bytes:
+def encode(frame: SerialFrame) -> bytes:
     """Return the bytes of a frame."""
     body = _HEAD.pack(len(frame.payload), frame.sequence, frame.kind) + frame.payload
     return _SYNC + body + _CRC.pack(crc16(body))
@@ -173,7 +173,7 @@ class FrameScanner:
         self._rest = bytearray()
         self.garbled = 0
 
-    def feed(self, data: bytes) -> Iterator[Frame]:
+    def feed(self, data: bytes) -> Iterator[SerialFrame]:
         """Yield the valid frames that `data` completes. Everything else is skipped."""
         rest = self._rest
         rest += data
@@ -193,7 +193,7 @@ class FrameScanner:
                 del rest[: len(_SYNC)]  # a frame may begin inside of what looked like one
                 self.garbled += len(_SYNC)
                 continue
-            yield Frame(sequence, kind, bytes(rest[len(_SYNC) + _HEAD.size : end]))
+            yield SerialFrame(sequence, kind, bytes(rest[len(_SYNC) + _HEAD.size : end]))
             del rest[: end + _CRC.size]
 
     def drop(self) -> None:
@@ -214,7 +214,7 @@ class Client:
         """Return the frame of a new request. A retry sends the same bytes."""
         self._sequence = 0 if kind == Request.HELLO else self._sequence % 255 + 1
         self._kind = kind
-        return encode(Frame(self._sequence, kind, payload))
+        return encode(SerialFrame(self._sequence, kind, payload))
 
     def feed(self, data: bytes) -> bytes | None:
         """Return the answer to the request, or None as long as there is none. Late answers to others are skipped."""

@@ -12,8 +12,8 @@ from dual_ur10.sim2real.serial_arm.protocol import (
     FRAME_BYTES,
     VERSION,
     Client,
+    FirmwareRefusal,
     Info,
-    Refusal,
     Request,
     Status,
     pack_nonce,
@@ -35,12 +35,12 @@ T = TypeVar("T")
 _BOOT_S: Final = 3.0  # some boards restart when their port is opened
 _RECEIVE_BYTES: Final = 4096
 _REASONS: Final = {
-    Refusal.MOVING: "the arms move",
-    Refusal.BUFFER_FULL: "its buffer is full",
-    Refusal.WRONG_POINT: "a point has the wrong arm, number or time",
-    Refusal.INCOMPLETE: "not all points have arrived",
-    Refusal.WRONG_START: "the first point is not where the arms stand",
-    Refusal.UNKNOWN: "it does not know this request",
+    FirmwareRefusal.MOVING: "the arms move",
+    FirmwareRefusal.BUFFER_FULL: "its buffer is full",
+    FirmwareRefusal.WRONG_POINT: "a point has the wrong arm, number or time",
+    FirmwareRefusal.INCOMPLETE: "not all points have arrived",
+    FirmwareRefusal.WRONG_START: "the first point is not where the arms stand",
+    FirmwareRefusal.UNKNOWN: "it does not know this request",
 }
 
 
@@ -131,9 +131,9 @@ class SerialLine(Closing):
             self._clock.wait((self._transport.fileno(),), deadline_s)
 
     def _checked(self, kind: Request, answer: bytes) -> bytes:
-        refusal = answer[0] if answer else Refusal.UNKNOWN
-        if refusal != Refusal.NONE:
-            reason = _REASONS.get(Refusal(refusal)) if refusal in tuple(Refusal) else None
+        refusal = answer[0] if answer else FirmwareRefusal.UNKNOWN
+        if refusal != FirmwareRefusal.NONE:
+            reason = _REASONS.get(FirmwareRefusal(refusal)) if refusal in tuple(FirmwareRefusal) else None
             raise OperationRefusedError(
                 f"{self._where}: the firmware refuses {kind.name}: {reason or f'reason {refusal}'}"
             )

@@ -18,8 +18,8 @@ from dual_ur10.sim2real.cell_file.cell_file import CellFile
 from dual_ur10.sim2real.commissioning.findings import REST_RAD_S
 from dual_ur10.sim2real.commissioning.operator_prompts import Confirm
 from dual_ur10.sim2real.control.limits import MotionLimits
-from dual_ur10.sim2real.programs.program_link import Observer, ProgramLink, ProgrammedArms, check_ended
-from dual_ur10.sim2real.programs.stream_script import FIRST, STATE, STOP_RAD_S2, TOKEN, WAIT_S, Command, State
+from dual_ur10.sim2real.programs.program_link import MotionObserver, ProgramLink, ProgrammedArms, check_ended
+from dual_ur10.sim2real.programs.stream_script import FIRST, STATE, STOP_RAD_S2, TOKEN, WAIT_S, ProgramCommand, State
 from ur_core.kinematics.ur10 import ARMS, JOINTS, TICK_S, Family
 from ur_core.links.arm_status import ArmStatus, stop_reason
 from ur_core.processes.system import LOCAL, System
@@ -58,7 +58,7 @@ FREEDRIVE_REASONS: Final = {
 _FREEDRIVE: Final = f"""def dual_ur10_freedrive():
   token = @token@
   state = {State.WAITING:d}
-  command = {Command.WAIT:d}
+  command = {ProgramCommand.WAIT:d}
   number = 0
   seen = 0
   silent = 0
@@ -76,11 +76,11 @@ _FREEDRIVE: Final = f"""def dual_ur10_freedrive():
         silent = 0
       end
     end
-    if command == {Command.STOP:d}:
+    if command == {ProgramCommand.STOP:d}:
       state = {State.STOPPED:d}
     elif silent > patience:
       state = {State.STARVED:d}
-    elif state == {State.WAITING:d} and command == {Command.RUN:d}:
+    elif state == {State.WAITING:d} and command == {ProgramCommand.RUN:d}:
       freedrive_mode()
       silent = 0
       patience = @patience@
@@ -156,7 +156,7 @@ class HandGuiding(ProgrammedArms):
         arms: Sequence[str] = ARMS,
         *,
         confirm: Confirm | None = None,
-        observer: Observer | None = None,
+        observer: MotionObserver | None = None,
         system: System = LOCAL,
     ) -> None:
         for arm in arms:
@@ -194,7 +194,7 @@ class HandGuiding(ProgrammedArms):
                 arm.upload(freedrive_script(token + number, self._families[arm.name]), token + number)
             begun = True
             for arm in self._guided:
-                arm.values["command"] = Command.RUN
+                arm.values["command"] = ProgramCommand.RUN
                 arm.send()
             while seen(self._next()):
                 pass

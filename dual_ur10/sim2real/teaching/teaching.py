@@ -30,7 +30,7 @@ _STEADY_RAD: Final = 1e-3  # range of a joint meanwhile; 1 mm at 1 m
 _REPEAT_S: Final = 2.0  # between two messages of one kind
 
 
-class Key(Enum):
+class TeachKey(Enum):
     """Request of the person who teaches."""
 
     RECORD = auto()
@@ -55,7 +55,7 @@ class PointRecorder:
         self,
         file: TaughtFile,
         arms: Sequence[str],
-        keys: Callable[[], Key | None],
+        keys: Callable[[], TeachKey | None],
         say: Callable[[str], None],
         rate_hz: float | None = None,
     ) -> None:
@@ -86,12 +86,12 @@ class PointRecorder:
                 self._said[what] = guided.time_s
                 self._say(f"note: {text}")
         key = self._keys()
-        if self._rate_hz is not None and (guided.time_s >= self._due_s or key is Key.END):
+        if self._rate_hz is not None and (guided.time_s >= self._due_s or key is TeachKey.END):
             self._due_s = max(self._due_s, guided.time_s - 1.0 / STATES_HZ) + 1.0 / self._rate_hz
             self._record_passing(guided)
-        elif key is Key.RECORD:
+        elif key is TeachKey.RECORD:
             self._record_resting(guided)
-        return key is not Key.END
+        return key is not TeachKey.END
 
     def _record_passing(self, guided: Guided) -> None:
         if self._is_new(guided.q_rad):

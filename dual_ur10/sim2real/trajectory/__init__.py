@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from dual_ur10.sim2real.trajectory.goal import Feedback, GoalState, Result, TrajectoryGoal
+from dual_ur10.sim2real.trajectory.goal import Feedback, GoalResult, GoalState, TrajectoryGoal
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, ResultCode
 
 if TYPE_CHECKING:
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Feedback",
+    "GoalResult",
     "GoalState",
     "JointTrajectory",
-    "Result",
     "ResultCode",
     "TrajectoryGoal",
     "read_trajectory",

@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from dual_ur10.sim2real.trajectory.interpolation import Motion, quintic
+from dual_ur10.sim2real.trajectory.interpolation import JointMotion, quintic
 from dual_ur10.sim2real.trajectory.smooth_path import SmoothPath
 from ur_core.types import Array
 
@@ -60,7 +60,7 @@ class Rate(NamedTuple):
         bend = 0.0
         if self.duration_s and time_s - self.time_s < self.duration_s:
             bend = float(np.polyval(np.polyder(self.coefficients, 3), time_s - self.time_s))
-        begins, ends = (Motion(*map(np.array, each)) for each in ((rate, slope, bend), (goal, 0.0, 0.0)))
+        begins, ends = (JointMotion(*map(np.array, each)) for each in ((rate, slope, bend), (goal, 0.0, 0.0)))
         coefficients = np.asarray(np.polyint(quintic(duration_s, begins, ends)), dtype=np.float64)
         return Rate(time_s, path, coefficients, duration_s, goal)
 
@@ -76,12 +76,12 @@ class Course(NamedTuple):
         """Return rest at (2, 6)."""
         return cls(SmoothPath.hold(q_rad), Rate.constant(_LONG_AGO_S, 0.0, 0.0))
 
-    def __call__(self, time_s: Array) -> Motion:
+    def __call__(self, time_s: Array) -> JointMotion:
         """Return the motion at (m,) times, (m, 2, 6) each."""
         path_s, rate, slope = self.rate(time_s)
         q, first, second = self.path(path_s)
         rate, slope = rate[:, None, None], slope[:, None, None]
-        return Motion(q, first * rate, second * rate**2 + first * slope)
+        return JointMotion(q, first * rate, second * rate**2 + first * slope)
 
     def path_s(self, time_s: float) -> float:
         """Return the trajectory's time."""

@@ -15,7 +15,7 @@ from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import HISTORY
 from dual_ur10.sim2real.control.proximity import ProximityScaling
 from dual_ur10.sim2real.trajectory.course import Course, Rate
-from dual_ur10.sim2real.trajectory.interpolation import Motion
+from dual_ur10.sim2real.trajectory.interpolation import JointMotion
 from dual_ur10.sim2real.trajectory.path_check import TargetLaw, reason_of, rehearse
 from dual_ur10.sim2real.trajectory.smooth_path import ROUNDING_S, SmoothPath
 from ur_core.processes.machine_load import too_busy
@@ -192,7 +192,7 @@ class CourseStepper:
         """
         now = self.time_s
         motion = self.course(np.array([now]))
-        leaving = Motion(motion.q_rad[0], motion.qd_rad_s[0] / rate, motion.qdd_rad_s2[0] / rate**2)
+        leaving = JointMotion(motion.q_rad[0], motion.qd_rad_s[0] / rate, motion.qdd_rad_s2[0] / rate**2)
         first_s = max(path.start_s, begun_s + ROUNDING_S)
         refusal = None
         for later_s in _JOINS_S:

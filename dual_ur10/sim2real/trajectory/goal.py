@@ -203,7 +203,7 @@ class Feedback(NamedTuple):
     flange_error_m: Array
 
 
-class Result(NamedTuple):
+class GoalResult(NamedTuple):
     """End of a goal.
 
     Attributes:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dual_ur10.sim2real.trajectory.goal import Feedback, GoalState, Result, TrajectoryGoal
+from dual_ur10.sim2real.trajectory.goal import Feedback, GoalResult, GoalState, TrajectoryGoal
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, ResultCode
 from ur_core.types import Array
 
@@ -27,7 +27,7 @@ class GoalHandle:
         state: State of the goal.
         result: Result; None until the state is final.
         feedback: Newest feedback; None until the goal is active.
-        reason: Reason of a stop that goes on, as in `Result`; "": there is none.
+        reason: Reason of a stop that goes on, as in `GoalResult`; "": there is none.
         text: Description of that stop.
         over_s: Time on the executor's clock at which the commanded motion ended; None: it has not.
     """
@@ -35,7 +35,7 @@ class GoalHandle:
     def __init__(self, executor: TrajectoryExecutor, goal: TrajectoryGoal) -> None:
         self._executor, self.goal = executor, goal
         self.state = GoalState.PENDING
-        self.result: Result | None = None
+        self.result: GoalResult | None = None
         self.feedback: Feedback | None = None
         self.reason, self.text = "", ""
         self.over_s: float | None = None
@@ -49,7 +49,7 @@ class GoalHandle:
         self._executor.step()
         return self.feedback
 
-    def wait(self, on_feedback: Callable[[Feedback], None] | None = None) -> Result:
+    def wait(self, on_feedback: Callable[[Feedback], None] | None = None) -> GoalResult:
         """Advance the cell until the goal has ended and both arms rest, and return the result.
 
         Args:
@@ -96,4 +96,6 @@ class GoalHandle:
             return
         self.state = state
         largest, rms = self._largest, np.sqrt(self._squares / max(self._count, 1))
-        self.result = Result(state, code, reason, text, time_s, largest[:, :6], rms[:, :6], largest[:, 6], rms[:, 6])
+        self.result = GoalResult(
+            state, code, reason, text, time_s, largest[:, :6], rms[:, :6], largest[:, 6], rms[:, 6]
+        )

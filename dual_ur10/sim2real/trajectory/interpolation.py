@@ -24,7 +24,7 @@ ORDER = 5
 """Degree of the polynomials."""
 
 
-class Motion(NamedTuple):
+class JointMotion(NamedTuple):
     """Joint motion at m instants, or at one.
 
     Attributes:
@@ -38,7 +38,7 @@ class Motion(NamedTuple):
     qdd_rad_s2: Array
 
     @classmethod
-    def at_rest(cls, q_rad: Array) -> Motion:
+    def at_rest(cls, q_rad: Array) -> JointMotion:
         """Return rest at `q_rad`."""
         q = np.array(q_rad, dtype=np.float64)
         return cls(q, np.zeros_like(q), np.zeros_like(q))
@@ -59,7 +59,7 @@ class Interpolation:
         TrajectoryError: The shape of `start` does not fit.
     """
 
-    def __init__(self, trajectory: JointTrajectory, start: Motion | None = None) -> None:
+    def __init__(self, trajectory: JointTrajectory, start: JointMotion | None = None) -> None:
         self.trajectory = trajectory
         time, q, qd, qdd = trajectory.time_s, trajectory.q_rad, trajectory.qd_rad_s, trajectory.qdd_rad_s2
         if start is not None and time[0] > 0.0:
@@ -78,18 +78,18 @@ class Interpolation:
         elif qdd is None:
             coefficients = cubic(steps, q[:-1], qd[:-1], q[1:], qd[1:])
         else:
-            coefficients = quintic(steps, Motion(q[:-1], qd[:-1], qdd[:-1]), Motion(q[1:], qd[1:], qdd[1:]))
+            coefficients = quintic(steps, JointMotion(q[:-1], qd[:-1], qdd[:-1]), JointMotion(q[1:], qd[1:], qdd[1:]))
         self.polynomial = PPoly(coefficients, time)
         self._derivatives = [self.polynomial, self.polynomial.derivative(1), self.polynomial.derivative(2)]
 
-    def __call__(self, time_s: float | Array) -> Motion:
+    def __call__(self, time_s: float | Array) -> JointMotion:
         """Return the motion at (m,) times, or at one time."""
         time: Array = np.asarray(time_s, dtype=np.float64)
         inside = np.clip(time, self.start_s, self.end_s)
         moves = (time >= self.start_s) & (time < self.end_s)
         values = [each(inside) for each in self._derivatives]
         factor = moves[..., None, None]
-        return Motion(values[0], values[1] * factor, values[2] * factor)
+        return JointMotion(values[0], values[1] * factor, values[2] * factor)
 
 
 def linear(step_s: Array, start_rad: Array, end_rad: Array) -> Array:
@@ -109,7 +109,7 @@ def cubic(step_s: Array, start_rad: Array, start_rad_s: Array, end_rad: Array, e
     return result
 
 
-def quintic(step_s: Array | float, start: Motion, end: Motion) -> Array:
+def quintic(step_s: Array | float, start: JointMotion, end: JointMotion) -> Array:
     """Return the coefficients, (6, ...), of quintic Hermite polynomials."""
     away = end.q_rad - start.q_rad - (start.qd_rad_s + start.qdd_rad_s2 * step_s / 2) * step_s
     faster = (end.qd_rad_s - start.qd_rad_s - start.qdd_rad_s2 * step_s) * step_s

@@ -12,7 +12,7 @@ import numpy as np
 from dual_ur10.sim2real.control.gate import SafetyGate, Verdict
 from dual_ur10.sim2real.control.limits import HISTORY
 from dual_ur10.sim2real.trajectory.course import Course, Rate
-from dual_ur10.sim2real.trajectory.interpolation import Motion
+from dual_ur10.sim2real.trajectory.interpolation import JointMotion
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
 from dual_ur10.sim2real.trajectory.smooth_path import SmoothPath
 from ur_core.servoj import ServojProfile
@@ -56,7 +56,7 @@ class TargetLaw:
         """Duration of a window."""
         return self.ticks * self.tick_s
 
-    def inverse(self, motion: Motion) -> Array:
+    def inverse(self, motion: JointMotion) -> Array:
         """Return the targets of a motion, (m, 2, 6)."""
         return motion.q_rad + self.lookahead_s * motion.qd_rad_s + motion.qdd_rad_s2 / self.gain
 

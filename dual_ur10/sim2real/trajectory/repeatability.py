@@ -32,7 +32,7 @@ _SAME_RAD: Final = 1e-9
 _LATE: Final = 10  # stops per path because this computer was busy, after which the path is planned again
 
 
-class Spread(NamedTuple):
+class FlangeSpread(NamedTuple):
     """Spread of both flanges.
 
     Attributes:
@@ -44,7 +44,7 @@ class Spread(NamedTuple):
     largest_m: Array
 
 
-def spread_of(positions_m: Array) -> Spread:
+def spread_of(positions_m: Array) -> FlangeSpread:
     """Return the spread of (n, 2, 3) positions of both flanges.
 
     Raises:
@@ -53,7 +53,7 @@ def spread_of(positions_m: Array) -> Spread:
     if len(positions_m) < 2:
         raise TrajectoryError(f"a spread of {len(positions_m)} positions means nothing: measure 2 or more")
     away = np.linalg.norm(positions_m - positions_m.mean(axis=0), axis=-1)
-    return Spread(away.mean(axis=0) + 3.0 * away.std(axis=0, ddof=1), away.max(axis=0))
+    return FlangeSpread(away.mean(axis=0) + 3.0 * away.std(axis=0, ddof=1), away.max(axis=0))
 
 
 def returns(

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from dual_ur10.sim2real.trajectory.interpolation import ORDER, Interpolation, Motion, PPoly, quintic
+from dual_ur10.sim2real.trajectory.interpolation import ORDER, Interpolation, JointMotion, PPoly, quintic
 from ur_core.types import Array
 
 ROUNDING_S: Final = 0.04
@@ -72,21 +72,21 @@ class SmoothPath:
         both[:, :, rows] = coefficients
         return cls(breaks, both, end_s)
 
-    def __call__(self, path_s: Array) -> Motion:
+    def __call__(self, path_s: Array) -> JointMotion:
         """Return positions and their first two derivatives at (m,) times of the trajectory."""
         inside = np.clip(path_s, self.start_s, self.end_s)
         moves = ((path_s >= self.start_s) & (path_s < self.end_s))[:, None, None]
         q, speed, acceleration = (each(inside) for each in self._derivatives)
-        return Motion(q, speed * moves, acceleration * moves)
+        return JointMotion(q, speed * moves, acceleration * moves)
 
-    def extended(self, path_s: Array) -> Motion:
+    def extended(self, path_s: Array) -> JointMotion:
         """Return the same, except that the first and the last polynomial continue outside."""
-        return Motion(*(each(path_s) for each in self._derivatives))
+        return JointMotion(*(each(path_s) for each in self._derivatives))
 
-    def joined(self, at_s: float, now: Motion, meets_s: float) -> SmoothPath:
+    def joined(self, at_s: float, now: JointMotion, meets_s: float) -> SmoothPath:
         """Return a path that leaves a motion, (2, 6) each, at one time and is this one from another time on."""
         meeting = self(np.array([meets_s]))
-        first = quintic(meets_s - at_s, now, Motion(*(each[0] for each in meeting)))[:, None]
+        first = quintic(meets_s - at_s, now, JointMotion(*(each[0] for each in meeting)))[:, None]
         if meets_s > self.end_s - _SHORTEST_S:
             return SmoothPath(np.array([at_s, meets_s]), first)
         breaks, coefficients = _between(self.polynomial, meets_s, self._last_s)
@@ -135,7 +135,7 @@ def _rounded(polynomial: PPoly) -> PPoly:
     starts, ends = x[:-1] + np.append(0.0, around), x[1:] - np.append(around, 0.0)
     starts = starts[ends - starts > _SHORTEST_S]
     away, back = x[1:-1][corners] - around[corners], x[1:-1][corners] + around[corners]
-    start, end = (Motion(*(polynomial(each, nu=order) for order in range(3))) for each in (away, back))
+    start, end = (JointMotion(*(polynomial(each, nu=order) for order in range(3))) for each in (away, back))
     begins = np.concatenate([starts, away])
     pieces = np.concatenate(
         [_expanded(polynomial, starts), quintic((back - away).reshape(-1, 1, 1), start, end)], axis=1
@@ -153,8 +153,8 @@ def _landed(polynomial: PPoly) -> PPoly:
     around = min(ROUNDING_S, float(x[-1] - x[0]) / 2)
     leaves_s = float(x[-1]) - around
     breaks, pieces = _between(polynomial, float(x[0]), leaves_s)
-    start = Motion(*(polynomial(leaves_s, nu=order) for order in range(3)))
-    landing = quintic(2 * around, start, Motion.at_rest(polynomial(x[-1])))
+    start = JointMotion(*(polynomial(leaves_s, nu=order) for order in range(3)))
+    landing = quintic(2 * around, start, JointMotion.at_rest(polynomial(x[-1])))
     return PPoly.construct_fast(np.concatenate([pieces, landing[:, None]], axis=1), np.append(breaks, x[-1] + around))
 
 

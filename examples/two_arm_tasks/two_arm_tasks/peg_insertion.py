@@ -29,7 +29,7 @@ PEG = ur.Prop(
     <geom type="mesh" mesh="tip" mass="0.01"/>
   </body></worldbody>
 </mujoco>""",
-    held=(ur.Capsule((0, 0, -0.02), (0, 0, 0.09), 0.017), None),
+    held=(ur.HeldCapsule((0, 0, -0.02), (0, 0, 0.09), 0.017), None),
 )
 
 
@@ -50,7 +50,7 @@ def plate(clearance_m: float) -> ur.Prop:
     <geom size="0.012 0.125 0.02" pos="0 -0.175 0.01" mass="0.13"/>
   </body></worldbody>
 </mujoco>""",
-        held=(None, ur.Capsule((0, 0, 0), (-0.26, 0, 0), 0.03)),
+        held=(None, ur.HeldCapsule((0, 0, 0), (-0.26, 0, 0), 0.03)),
     )
 
 

@@ -31,7 +31,7 @@ TRAY = ur.Prop(
     <geom type="cylinder" size="0.02 0.0003" rgba="0.16 0.17 0.19 1" group="2" contype="0" conaffinity="0"/>
   </body></worldbody>
 </mujoco>""",
-    held=(ur.Capsule((-0.04, 0, 0), (0.28, 0, 0), 0.03), ur.Capsule((0.04, 0, 0), (-0.28, 0, 0), 0.03)),
+    held=(ur.HeldCapsule((-0.04, 0, 0), (0.28, 0, 0), 0.03), ur.HeldCapsule((0.04, 0, 0), (-0.28, 0, 0), 0.03)),
 )
 BALL = ur.Prop(
     name="ball",

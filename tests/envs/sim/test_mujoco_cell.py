@@ -10,7 +10,7 @@ from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.sim.feedforward import FeedForward
 from dual_ur10.envs.sim.mujoco_cell import MujocoCell
-from dual_ur10.envs.sim.servo_reference import Motion, ServojReference, TargetDelay
+from dual_ur10.envs.sim.servo_reference import ReferenceMotion, ServojReference, TargetDelay
 from dual_ur10.errors import ClosedError, SettingsError, UnknownNameError
 from dual_ur10.sim2real.cell.cell import Start
 from dual_ur10.sim2real.cell.cell_config import CellConfig
@@ -326,7 +326,7 @@ def test_feed_forward_is_mujocos_inverse_dynamics(declared_kg, grippers):
     model = build_collision_model(scene)
     data = mujoco.MjData(model)
     for _ in range(20):
-        motion = Motion(np.zeros((1, 3 * steps + 3, 12)))
+        motion = ReferenceMotion(np.zeros((1, 3 * steps + 3, 12)))
         for rows in (motion.q_rad, motion.qd_rad_s, motion.qdd_rad_s2):
             rows[:] = rng.normal(size=rows.shape)
         control = forward(motion, carried_kg, carried_kg)[..., :6].reshape(steps, 12)

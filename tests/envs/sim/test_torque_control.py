@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 from dual_ur10.assets.settings import default_mount, home_q_rad
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.sim.physics import Physics
-from dual_ur10.envs.sim.servo_reference import Motion
-from dual_ur10.sim2real.cell.cell import Perturbation, Start
+from dual_ur10.envs.sim.servo_reference import ReferenceMotion
+from dual_ur10.sim2real.cell.cell import Start
 from dual_ur10.sim2real.cell.cell_config import CellConfig
+from dual_ur10.sim2real.cell.perturbation import Perturbation
 from tests.soak import scaled
 from ur_core.kinematics.dynamics import inverse_dynamics, mass_matrix
 from ur_core.kinematics.robots import ROBOTS
@@ -42,7 +43,7 @@ class Bench:
         self.step_s = config.scene.timestep_s
         self.physics = Physics(config, 1, 1, 1, contacts=contacts)
         self.home = home_q_rad(mounts)
-        self.motion = Motion(np.zeros((1, 6, 12)))
+        self.motion = ReferenceMotion(np.zeros((1, 6, 12)))
         self.motion.q_rad[:] = self.home.ravel()
         if plant:
             self.physics.perturb(Perturbation(**plant).expanded(1), np.arange(1))

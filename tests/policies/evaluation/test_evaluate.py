@@ -26,7 +26,7 @@ import dual_ur10
 from dual_ur10 import CellConfig, Perturbation, errors, policies
 from dual_ur10.ids import TASKS, TaskEntry
 from dual_ur10.policies.evaluation.evaluate import evaluate
-from dual_ur10.policies.evaluation.results import Episode, Evaluation, wilson_interval
+from dual_ur10.policies.evaluation.results import EpisodeResult, Evaluation, wilson_interval
 from dual_ur10.policies.evaluation.rollout import rollout
 from dual_ur10.policies.policy import EpisodeAware
 from dual_ur10.policies.registry import load, shipped_folder
@@ -527,11 +527,11 @@ def test_what_is_no_policy_is_refused_before_an_environment_is_made(
 # What the episodes say together
 
 
-def episode(seed: int, success: bool = True, time_s: float = 1.0, **values: Any) -> Episode:
-    return Episode(seed=seed, success=success, total_reward=float(seed), steps=10, time_s=time_s, **values)
+def episode(seed: int, success: bool = True, time_s: float = 1.0, **values: Any) -> EpisodeResult:
+    return EpisodeResult(seed=seed, success=success, total_reward=float(seed), steps=10, time_s=time_s, **values)
 
 
-def evaluation(*episodes: Episode, **values: Any) -> Evaluation:
+def evaluation(*episodes: EpisodeResult, **values: Any) -> Evaluation:
     plain: dict[str, Any] = {"env_id": SINE, "policy": "scripted", "kwargs": {}, "seed": 0, "stages": ()}
     return Evaluation(**{**plain, "versions": {}, "episodes": episodes, **values})
 

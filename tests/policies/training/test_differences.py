@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 from dual_ur10.envs.api.sb3_bridge import TwoAgentVecEnv
-from dual_ur10.policies.training.models import Differences
+from dual_ur10.policies.training.models import RewardDifferences
 
 GAMMA, N = 0.9, 2
 
@@ -18,7 +18,7 @@ def made(refusals=0.0, **keywords):
     envs = [TwoAgentVecEnv("Handover", N, reward="individual", threads=1, **keywords) for _ in range(2)]
     for env in envs:
         env.seed(0)
-    plain, changed = envs[0], Differences(envs[1], GAMMA, lambda: refusals)
+    plain, changed = envs[0], RewardDifferences(envs[1], GAMMA, lambda: refusals)
     plain.reset()
     changed.reset()
     return plain, changed

@@ -17,7 +17,7 @@ from dual_ur10.policies.learned import checkpoint
 from dual_ur10.policies.learned.signature import view_of
 from dual_ur10.policies.training import folder, models, state
 from dual_ur10.policies.training import reinforcement as reinforce
-from dual_ur10.policies.training.models import Differences
+from dual_ur10.policies.training.models import RewardDifferences
 from dual_ur10.policies.training.settings import defaults
 from dual_ur10.policies.training.train import resume, train
 from tests.policies.training.small import small
@@ -396,13 +396,13 @@ def test_the_learning_rate_falls_to_zero_with_the_share_that_is_done(algorithm):
 
 def test_the_cost_of_refusals_grows_over_the_whole_training(tmp_path, monkeypatch):
     ratios = []
-    real = Differences.step_wait
+    real = RewardDifferences.step_wait
 
     def watched(self):
         ratios.append(self._refusals())
         return real(self)
 
-    monkeypatch.setattr(Differences, "step_wait", watched)
+    monkeypatch.setattr(RewardDifferences, "step_wait", watched)
     changes = {"differences": True, "refusals": 0.5}
     train(small("ppo", steps=320, changes=changes), tmp_path / "out")
     assert ratios[0] == 0.0

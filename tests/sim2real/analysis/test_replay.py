@@ -14,7 +14,7 @@ import pytest
 
 from dual_ur10 import ENV_IDS, TYPICAL_PERTURBATION, ArmMount, CellConfig, ServojProfile
 from dual_ur10.assets.obstacles import Box
-from dual_ur10.assets.prop import Capsule, Prop
+from dual_ur10.assets.prop import HeldCapsule, Prop
 from dual_ur10.assets.settings import Equipment
 from dual_ur10.envs.sim.mujoco_cell import make_mujoco_cell
 from dual_ur10.envs.tasks.sine_tracking.settings import SineSettings
@@ -177,8 +177,8 @@ class PropSettings(SineSettings):
     """Keywords that are dataclasses: one of several, and in tuples and mappings."""
 
     prop: Box | Prop | None = None
-    pairs: tuple[tuple[Capsule | None, int], ...] = ()
-    named: Mapping[str, Capsule] | None = None
+    pairs: tuple[tuple[HeldCapsule | None, int], ...] = ()
+    named: Mapping[str, HeldCapsule] | None = None
     gains: Gains = STIFF
 
 
@@ -196,7 +196,7 @@ class WithProps(SineTracking):
 def test_keywords_that_are_dataclasses_are_those_of_the_replay(tmp_path: Path, registries: None) -> None:
     register("Lab/WithProps-v0")(WithProps)
     body = "<body pos='0 0 .03'><freejoint/><geom type='box' size='.03 .03 .03' mass='.2'/></body>"
-    capsule = Capsule((0, 0, 0), (0, 0, 0.1), 0.02)
+    capsule = HeldCapsule((0, 0, 0), (0, 0, 0.1), 0.02)
     prop = Prop(name="box", mjcf=f"<mujoco><worldbody>{body}</worldbody></mujoco>", held=(capsule, None), noise=0.5)
     keywords = {"prop": prop, "pairs": ((capsule, 1), (None, 2)), "named": {"a": capsule}, "gains": OWN}
     run = played(tmp_path, "Lab/WithProps-v0", **keywords)

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from dual_ur10.errors import CalibrationError
-from dual_ur10.sim2real.calibration.board import Board, Camera, calibrated_camera, located
+from dual_ur10.sim2real.calibration.board import Board, Intrinsics, calibrated_camera, located
 from dual_ur10.sim2real.calibration.data_file import DataFile
 from dual_ur10.sim2real.calibration.transforms import rotation_of, rotvec_of, transform
 
 cv2 = pytest.importorskip("cv2")
 
 BOARD = Board(7, 5, 0.04, 0.03)
-CAMERA = Camera((900.0, 900.0, 640.0, 480.0))
+CAMERA = Intrinsics((900.0, 900.0, 640.0, 480.0))
 _PX = 60
 
 
@@ -83,7 +83,7 @@ def test_images_without_a_board_and_other_cameras_are_refused(tmp_path, images):
     with pytest.raises(CalibrationError, match="is no image"):
         located(tmp_path / "none.png", BOARD, CAMERA)
     with pytest.raises(CalibrationError, match="does not fit the camera"):
-        located(next(iter(images)), BOARD, Camera((900.0, 300.0, 100.0, 480.0)))
+        located(next(iter(images)), BOARD, Intrinsics((900.0, 300.0, 100.0, 480.0)))
 
 
 def test_views_name_images_beside_the_data_file(images):

@@ -16,9 +16,9 @@ import pytest
 
 from dual_ur10.errors import RecordingError
 from dual_ur10.sim2real.recording import mcap_records as mcap
-from dual_ur10.sim2real.recording.cdr import Field, Schema
+from dual_ur10.sim2real.recording.cdr import CdrField, Schema
 from dual_ur10.sim2real.recording.reader import read_run
-from dual_ur10.sim2real.recording.run import LATE, Event
+from dual_ur10.sim2real.recording.run import LATE, RunEvent
 from dual_ur10.sim2real.recording.schemas import EPISODE_TOPIC, EVENT_TOPIC, STEP_TOPIC
 from dual_ur10.sim2real.recording.writer import RunWriter
 from tests.sim2real.recording.runs import SENT_SIZE, begin_row, header, sent_rows, state_rows, step_row, write
@@ -299,7 +299,7 @@ def test_illegal_events_are_refused(tmp_path, values, message):
     from dual_ur10.sim2real.recording.schemas import EVENT
 
     with RunWriter(tmp_path, header()) as writer:
-        writer.event(Event(0.0, "note", "x"))
+        writer.event(RunEvent(0.0, "note", "x"))
         writer.single(EVENT_TOPIC, 0.0, EVENT.encode({"kind": "", "text": ""} | values))
     refused(tmp_path, "/event, row 1", message)
 
@@ -323,7 +323,8 @@ def test_messages_that_are_missing_or_foreign_are_refused(tmp_path, rng, code):
 
 
 FLAT = Schema(
-    "x_msgs/msg/X", (Field("a", "float64[]"), Field("b", "string"), Field("c", "float64[3]"), Field("d", "uint8[]"))
+    "x_msgs/msg/X",
+    (CdrField("a", "float64[]"), CdrField("b", "string"), CdrField("c", "float64[3]"), CdrField("d", "uint8[]")),
 )
 
 

@@ -18,7 +18,7 @@ from dual_ur10.sim2real.recording.black_box import KEPT_S, BlackBox
 from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.recording.recorder import RecorderProcess
 from dual_ur10.sim2real.recording.recorder_process import Recorder
-from dual_ur10.sim2real.recording.run import Event
+from dual_ur10.sim2real.recording.run import RunEvent
 from dual_ur10.sim2real.recording.run_folder import LOG_FILE
 from dual_ur10.sim2real.recording.schemas import EPISODE_TOPIC, STEP_TOPIC
 from dual_ur10.sim2real.runtime.arm_memory import RING, ArmMemory, Phase
@@ -348,5 +348,5 @@ def test_events_of_a_clock_that_began_before(memories, tmp_path):
     feed(memories, 0, 1)
     recorder.close()
     run = read_run(tmp_path)
-    assert run.events == [Event(1.25, "early", "")]
+    assert run.events == [RunEvent(1.25, "early", "")]
     assert 100.0 < run.arms[0].state["arrival_s"][0] < 130.0

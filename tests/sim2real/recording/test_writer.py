@@ -18,7 +18,7 @@ from mcap_ros2.decoder import DecoderFactory
 from dual_ur10.errors import ClosedError, RecordingError
 from dual_ur10.sim2real.recording import mcap_records as mcap
 from dual_ur10.sim2real.recording.reader import read_run
-from dual_ur10.sim2real.recording.run import Event
+from dual_ur10.sim2real.recording.run import RunEvent
 from dual_ur10.sim2real.recording.run_folder import check_name, new_folder
 from dual_ur10.sim2real.recording.schemas import EPISODE_TOPIC, STATE_COLUMNS, STEP_TOPIC
 from dual_ur10.sim2real.recording.writer import RunWriter
@@ -37,7 +37,7 @@ def rng():
 def written(folder, rng, **changes):
     with RunWriter(folder, header(**changes)) as writer:
         given = write(writer, rng)
-        writer.event(Event(0.1, "note", "größer", "right"))
+        writer.event(RunEvent(0.1, "note", "größer", "right"))
     return writer.path, given
 
 
@@ -55,7 +55,7 @@ def test_everything_comes_back_bit_for_bit(tmp_path, rng):
     run = read_run(path)
     assert run.complete
     assert run.header == header()
-    assert run.events == [Event(0.1, "note", "größer", "right")]
+    assert run.events == [RunEvent(0.1, "note", "größer", "right")]
     for arm in range(2):
         states, sent = (np.vstack(given[name][arm]) for name in ("states", "sent"))
         log = run.arms[arm]

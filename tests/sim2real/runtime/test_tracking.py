@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from dual_ur10.sim2real.runtime.tracking import DEVIATION_RAD, Deviation, Following, PayloadWarning, Tracking
+from dual_ur10.sim2real.runtime.tracking import DEVIATION_RAD, Deviation, Following, PayloadWarning, TrackingMonitor
 from tests.ur_emulator.statuses import status_of
 from ur_core.kinematics.ur10 import JOINTS
 from ur_core.servoj import ServojLaw, ServojProfile
@@ -31,7 +31,7 @@ def off(joint, by, q=HOME):
 @pytest.mark.parametrize("joint", range(6))
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_a_deviation_stops_the_arm_at_the_third_state(joint, sign):
-    tracking, bad = Tracking(), state(HOME, off(joint, sign * (DEVIATION_RAD + 1e-3)))
+    tracking, bad = TrackingMonitor(), state(HOME, off(joint, sign * (DEVIATION_RAD + 1e-3)))
     assert tracking(bad) is None
     assert tracking(bad) is None
     reason = tracking(bad)
@@ -40,7 +40,7 @@ def test_a_deviation_stops_the_arm_at_the_third_state(joint, sign):
 
 
 def test_a_single_bad_state_is_tolerated():
-    tracking = Tracking()
+    tracking = TrackingMonitor()
     good, bad = state(HOME), state(HOME, off(2, 0.5))
     for _ in range(20):
         assert tracking(bad) is None
@@ -49,7 +49,7 @@ def test_a_single_bad_state_is_tolerated():
 
 
 def test_allowed_deviations_are_tolerated():
-    tracking = Tracking()
+    tracking = TrackingMonitor()
     for _ in range(20):
         assert tracking(state(HOME, off(4, DEVIATION_RAD - 1e-6))) is None
 
@@ -57,7 +57,7 @@ def test_allowed_deviations_are_tolerated():
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_a_target_that_is_no_number_stops(bad):
     for values in ([*HOME[:5], bad], [bad] * 6):
-        tracking, following = Tracking(), Following(ServojProfile())
+        tracking, following = TrackingMonitor(), Following(ServojProfile())
         following.sent(HOME.tolist(), 0.0)
         status = state(values, HOME)
         for judge in (tracking, following):

@@ -13,19 +13,19 @@ from dual_ur10.sim2real.serial_arm.protocol import (
     FRAME_BYTES,
     MOST_PAYLOAD,
     Client,
-    Frame,
     FrameScanner,
     Info,
     MotionState,
     Point,
     Request,
+    SerialFrame,
     Status,
     crc16,
     encode,
 )
 from ur_core.errors import ProtocolError
 
-frames = st.builds(Frame, st.integers(0, 255), st.integers(0, 255), st.binary(max_size=MOST_PAYLOAD))
+frames = st.builds(SerialFrame, st.integers(0, 255), st.integers(0, 255), st.binary(max_size=MOST_PAYLOAD))
 microns = st.integers(-(2**31), 2**31 - 1).map(lambda number: number / 1e6)
 sixes = st.tuples(*[microns] * 6)
 
@@ -35,7 +35,7 @@ def test_the_checksum_is_the_published_one():
 
 
 def test_the_largest_frame_fits_the_buffer_of_a_mega():
-    assert len(encode(Frame(0, 0, bytes(MOST_PAYLOAD)))) == FRAME_BYTES <= 64
+    assert len(encode(SerialFrame(0, 0, bytes(MOST_PAYLOAD)))) == FRAME_BYTES <= 64
 
 
 @given(st.lists(frames, max_size=5), st.binary(max_size=40), st.data())
@@ -74,7 +74,7 @@ def test_late_and_foreign_answers_are_skipped():
     frame = client.request(Request.STATUS)
     sequence = next(FrameScanner().feed(frame)).sequence
     answers = [(sequence - 1, Request.STATUS), (sequence, Request.CLEAR), (sequence, Request.STATUS)]
-    data = [encode(Frame(number, kind | ANSWER, bytes([kind]))) for number, kind in answers]
+    data = [encode(SerialFrame(number, kind | ANSWER, bytes([kind]))) for number, kind in answers]
     assert client.feed(data[0] + data[1]) is None
     assert client.feed(data[2]) == bytes([Request.STATUS])
 

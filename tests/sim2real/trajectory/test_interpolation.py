@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import BPoly, CubicHermiteSpline
 
 from dual_ur10.errors import TrajectoryError
-from dual_ur10.sim2real.trajectory.interpolation import Interpolation, Motion
+from dual_ur10.sim2real.trajectory.interpolation import Interpolation, JointMotion
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
 
 SEEDS = st.integers(0, 2**31 - 1)
@@ -56,7 +56,7 @@ def test_outside_it_rests_at_its_ends(order):
 @pytest.mark.parametrize("order", [1, 2])
 def test_a_later_first_point_is_reached_from_the_start(order):
     trajectory = made(4, order, arms=("right",), first_s=0.5)
-    start = Motion(*np.random.default_rng(0).normal(size=(3, 1, 6)))
+    start = JointMotion(*np.random.default_rng(0).normal(size=(3, 1, 6)))
     found = Interpolation(trajectory, start)(np.array([0.0, 0.5]))
     np.testing.assert_allclose(found.q_rad, [start.q_rad, trajectory.q_rad[0]], atol=1e-12)
     np.testing.assert_allclose(found.qd_rad_s, [start.qd_rad_s, trajectory.qd_rad_s[0]], atol=1e-9)
@@ -77,4 +77,4 @@ def test_one_instant_has_no_axis_of_instants():
 
 def test_a_start_of_other_arms_is_refused():
     with pytest.raises(TrajectoryError, match="shape"):
-        Interpolation(made(0, 1, first_s=1.0), Motion.at_rest(np.zeros((1, 6))))
+        Interpolation(made(0, 1, first_s=1.0), JointMotion.at_rest(np.zeros((1, 6))))

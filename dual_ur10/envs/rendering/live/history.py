@@ -18,7 +18,7 @@ SHOWN_S: Final = 20.0
 _MOST: Final = 1000
 
 
-class Point(NamedTuple):
+class PlotPoint(NamedTuple):
     """One instant of all plots.
 
     Attributes:
@@ -47,7 +47,7 @@ class History:
 
     def __init__(self, speed_rad_s: Array) -> None:
         self._limits = np.asarray(speed_rad_s, dtype=np.float64)
-        self._points: deque[Point] = deque(maxlen=_MOST)
+        self._points: deque[PlotPoint] = deque(maxlen=_MOST)
         self._last: Row | None = None
 
     def add(self, rows: Sequence[Row], late_ms: float = math.nan, skew_ms: float = math.nan) -> None:
@@ -64,11 +64,11 @@ class History:
             error_left, error_right = (1e3 * np.abs(row.commanded_rad - row.q_rad).max(axis=1)).tolist()
             late = 1e3 * scalars["late_s"] if math.isnan(late_ms) else late_ms
             spare_mm = 1e3 * scalars["spare_m"]
-            self._points.append(Point(scalars["at_s"], (error_left, error_right), speed, spare_mm, late, skew_ms))
+            self._points.append(PlotPoint(scalars["at_s"], (error_left, error_right), speed, spare_mm, late, skew_ms))
             self._last = row
 
     def series(self, now_s: float) -> list[Array]:
-        """Return arrays of one length: age (s, negative), then each number of a `Point` in its order."""
+        """Return arrays of one length: age (s, negative), then each number of a `PlotPoint` in its order."""
         points = [each for each in self._points if each.at_s > now_s - SHOWN_S]
         rows = [
             (each.at_s - now_s, *each.error_mrad, *each.speed, each.spare_mm, each.late_ms, each.skew_ms)

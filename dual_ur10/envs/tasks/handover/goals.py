@@ -73,7 +73,7 @@ GIVER, RECEIVER = 0, 1
 _BLOCK, _TARGET, _CELL = range(3)  # frames of goals
 
 
-class Case(NamedTuple):
+class GoalCase(NamedTuple):
     """Conditions on which the goals depend; the arms are by side.
 
     Attributes:
@@ -118,7 +118,7 @@ class Plan(NamedTuple):
     closes_beyond: tuple[float, float]
 
 
-class Grip(NamedTuple):
+class GripCondition(NamedTuple):
     """Conditions of one arm, in one case."""
 
     between: bool
@@ -129,7 +129,7 @@ class Grip(NamedTuple):
 PHASES: Final = ("pick", "lift", "present", "take", "release", "place", "leave")
 
 
-def phase_of(case: Case) -> str:
+def phase_of(case: GoalCase) -> str:
     """Return the phase. A gripper that opens still encloses the block: only then may the block move."""
     giver, receiver = _grips(case)
     if receiver.holds:
@@ -141,7 +141,7 @@ def phase_of(case: Case) -> str:
     return "take" if case.met else "present"
 
 
-def plan_of(case: Case) -> Plan:
+def plan_of(case: GoalCase) -> Plan:
     """Return the goals of both arms."""
     phase, (giver, receiver) = phase_of(case), _grips(case)
     gives, takes = phase, phase
@@ -168,14 +168,14 @@ def plan_of(case: Case) -> Plan:
 NEVER, ALWAYS = 0.0, math.inf
 
 
-def _grips(case: Case) -> tuple[Grip, Grip]:
+def _grips(case: GoalCase) -> tuple[GripCondition, GripCondition]:
     """Return the conditions of giver and receiver."""
-    left = Grip(case.left_between, case.left_holds, case.left_narrow)
-    right = Grip(case.right_between, case.right_holds, case.right_narrow)
+    left = GripCondition(case.left_between, case.left_holds, case.left_narrow)
+    right = GripCondition(case.right_between, case.right_holds, case.right_narrow)
     return (right, left) if case.right_gives else (left, right)
 
 
-def _by_side(case: Case) -> Callable[[_T, _T], tuple[_T, _T]]:
+def _by_side(case: GoalCase) -> Callable[[_T, _T], tuple[_T, _T]]:
     """Return a function from values of giver and receiver to those of the left and the right arm."""
     return lambda giver, receiver: (receiver, giver) if case.right_gives else (giver, receiver)
 
@@ -276,7 +276,7 @@ class HandoverGoals:
         goals = [goal for giver in (0, 1) for role in goals_of(giver, home) for goal in role.values()]
         self.steps = GoalSteps(n, 2, goals)
         self.commanded = GoalSteps(n, 2, goals, mounts, tcp_m=[tool.tcp_m for tool in tools])
-        self._plan = Cases(Case, plan_of)
+        self._plan = Cases(GoalCase, plan_of)
         self.begin(np.arange(n), self._giver)
 
     def begin(self, rows: Rows, giver: Rows) -> None:
@@ -296,7 +296,7 @@ class HandoverGoals:
         left_between, right_between = numbers(grasped.between.T)
         left_holds, right_holds = numbers(grasped.holding.T)
         left_narrow, right_narrow = numbers((grasped.cleared < 1.0).T)
-        case = Case(
+        case = GoalCase(
             right_gives,
             left_between,
             right_between,

@@ -154,7 +154,7 @@ def _vectors(values: object) -> Array:
         return np.zeros(0)
 
 
-class PathCheck:
+class SineCheck:
     """Check that two arms can follow a sine.
 
     Args:
@@ -212,13 +212,13 @@ class PathCheck:
             )
 
 
-path_check = lru_cache(maxsize=16)(PathCheck)
-"""Function that returns a `PathCheck`, the same for the same cell."""
+path_check = lru_cache(maxsize=16)(SineCheck)
+"""Function that returns a `SineCheck`, the same for the same cell."""
 
 _TRIES = 200
 
 
-def sample_path(settings: SineSettings, rng: np.random.Generator, check: PathCheck) -> SineSettings:
+def sample_path(settings: SineSettings, rng: np.random.Generator, check: SineCheck) -> SineSettings:
     """Return settings of one episode: random axis, amplitude, frequency, phase and centres that the arms can follow.
 
     Raises:

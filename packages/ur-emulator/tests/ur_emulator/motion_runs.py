@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ur_core.kinematics import flange_pose
 from ur_core.kinematics.ur10 import NOMINAL_DH
-from ur_emulator.motion import Handle, Motion
+from ur_emulator.motion import Handle, MotionGenerator
 
 Array = NDArray[np.float64]
 
@@ -19,11 +19,13 @@ DT = TICK_S / SUBSTEPS
 Q0 = np.array([0.3, -1.2, 1.5, -1.0, -1.4, 0.2])
 
 
-def motion(q: Array = Q0, tick_s: float = TICK_S, substeps: int = SUBSTEPS, **options: object) -> Motion:
-    return Motion(tick_s, substeps, q, **{"dh": NOMINAL_DH} | options)  # type: ignore[arg-type]
+def motion(q: Array = Q0, tick_s: float = TICK_S, substeps: int = SUBSTEPS, **options: object) -> MotionGenerator:
+    return MotionGenerator(tick_s, substeps, q, **{"dh": NOMINAL_DH} | options)  # type: ignore[arg-type]
 
 
-def until_done(arm: Motion, handle: Handle, scaling: Callable[[int], float] = lambda _: 1.0) -> tuple[Array, int]:
+def until_done(
+    arm: MotionGenerator, handle: Handle, scaling: Callable[[int], float] = lambda _: 1.0
+) -> tuple[Array, int]:
     """Run until a handle is done. Return positions (n, 6) of all physics steps, and the number of ticks."""
     path = [arm.q[None]]
     for tick in range(20_000):
@@ -34,7 +36,7 @@ def until_done(arm: Motion, handle: Handle, scaling: Callable[[int], float] = la
     raise AssertionError("the motion does not end")
 
 
-def run(arm: Motion, ticks: int, scaling: float = 1.0) -> Array:
+def run(arm: MotionGenerator, ticks: int, scaling: float = 1.0) -> Array:
     """Run some ticks and return positions (n, 6) of all physics steps."""
     path = [arm.q[None]]
     for _ in range(ticks):
@@ -43,7 +45,7 @@ def run(arm: Motion, ticks: int, scaling: float = 1.0) -> Array:
     return np.concatenate(path)
 
 
-def at_rest(arm: Motion, ticks: int = 3000) -> Array:
+def at_rest(arm: MotionGenerator, ticks: int = 3000) -> Array:
     """Run until the arm stops and return positions (n, 6)."""
     path = [arm.q[None]]
     for _ in range(ticks):
@@ -54,7 +56,9 @@ def at_rest(arm: Motion, ticks: int = 3000) -> Array:
     raise AssertionError("the arm does not come to rest")
 
 
-def until_fault(arm: Motion, code: str, command: Callable[[int], object] = lambda _: None, ticks: int = 2000) -> Array:
+def until_fault(
+    arm: MotionGenerator, code: str, command: Callable[[int], object] = lambda _: None, ticks: int = 2000
+) -> Array:
     """Command and run until this fault. Return the speeds (n, 6) of all physics steps."""
     speeds = []
     for k in range(ticks):
@@ -71,6 +75,6 @@ def positions(q: Array) -> Array:
     return flange_pose(q, NOMINAL_DH)[0]
 
 
-def pose(arm: Motion, *offset: float) -> list[float]:
+def pose(arm: MotionGenerator, *offset: float) -> list[float]:
     """Return the TCP's pose, displaced."""
     return [a + b for a, b in zip(arm.tcp_pose(arm.q), [*offset, *[0.0] * (6 - len(offset))], strict=True)]

@@ -8,7 +8,7 @@ from ur_core.errors import SettingsError, UnknownNameError
 from ur_core.kinematics import flange_pose
 from ur_core.kinematics.robots import ROBOTS
 from ur_core.kinematics.ur10 import nominal_dh
-from ur_emulator.motion import JointTorques, Motion
+from ur_emulator.motion import JointTorques, MotionGenerator
 from ur_emulator.script import read
 from ur_emulator.world import lone_arm
 from ur_emulator.world.lone_arm import LoneArm
@@ -32,7 +32,7 @@ def advance(arm, plan, torque=None):
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_every_model_follows_its_controller_exactly(robot):
     arm = arm_of(robot)
-    motion = Motion(arm.tick_s, arm.substeps, arm.start_q_rad[0], dh=nominal_dh(robot))
+    motion = MotionGenerator(arm.tick_s, arm.substeps, arm.start_q_rad[0], dh=nominal_dh(robot))
     goal = arm.start_q_rad[0] + [0.3, -0.2, 0.1, 0.2, 0.3, -0.3]
     motion.move_joints(goal, 1.4, 1.0)
     most = 0.0

@@ -13,7 +13,7 @@ from tests.soak import scaled
 from tests.ur_emulator.motion_runs import DT, Q0, SUBSTEPS, at_rest, motion
 from ur_core.errors import MotionError
 from ur_core.kinematics.ur10 import JOINT_RANGE_RAD, JOINT_SPEED_RAD_S
-from ur_emulator.motion import Motion
+from ur_emulator.motion import MotionGenerator
 from ur_emulator.motion.servo import Servo
 from ur_emulator.motion.trajectories import ACCELERATION_LIMIT_RAD_S2, Superposed
 
@@ -40,7 +40,7 @@ COMMAND = st.tuples(
 )
 
 
-def _command(arm: Motion, name: str, x: np.ndarray, a: float, v: float, blends: bool) -> None:
+def _command(arm: MotionGenerator, name: str, x: np.ndarray, a: float, v: float, blends: bool) -> None:
     r = 0.05 if blends else 0.0
     here = np.array(arm.tcp_pose(arm.q))
     if name == "movej":
@@ -75,7 +75,7 @@ PROGRAM = 1.1 * ACCELERATION_LIMIT_RAD_S2
 COMPLIANCE = 8.0
 
 
-def _promised(arm: Motion, law: tuple[float, float]) -> float:
+def _promised(arm: MotionGenerator, law: tuple[float, float]) -> float:
     """Return the acceleration (rad/s²) that no joint of the present motion exceeds in trajectory time."""
     trajectory = arm._trajectory
     if not isinstance(trajectory, Servo):

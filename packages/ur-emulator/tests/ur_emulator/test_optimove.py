@@ -16,7 +16,7 @@ from ur_core.kinematics.robots import ROBOTS
 from ur_core.kinematics.ur10 import nominal_dh
 from ur_core.protocol.modes import RuntimeState, SafetyMode
 from ur_emulator.motion.capability import Load, joint_capability, line_capability
-from ur_emulator.motion.tool_kinematics import ArmKinematics, Frame, Tool
+from ur_emulator.motion.tool_kinematics import ArmKinematics, Frame, Tcp
 
 ROBOT = ROBOTS["ur10e"]
 UNLOADED = Load(0.0, (0.0, 0.0, 0.0))
@@ -78,7 +78,7 @@ def test_greater_fractions_are_quicker(arm, move):
 
 def test_lines_are_straight(arm):
     at_home(arm)
-    kinematics, tool, shift = arm.controller.motion.arm, Tool(), np.array([0.1, -0.05, 0.1])
+    kinematics, tool, shift = arm.controller.motion.arm, Tcp(), np.array([0.1, -0.05, 0.1])
     start = kinematics.tcp(arm.q, tool).position
     goal = [*(start + shift).tolist(), *arm.controller.motion.tcp_pose(arm.q)[3:]]
     path = go(arm, f"optimovel(p{goal}, a=1, v=1)\nsleep(0.05)")
@@ -149,7 +149,7 @@ def test_the_largest_acceleration_takes_the_torque_of_one_joint(robot, start, sh
 
 
 def test_the_capability_on_a_line_is_that_of_its_joints():
-    arm, tool = ArmKinematics(nominal_dh("ur10e")), Tool()
+    arm, tool = ArmKinematics(nominal_dh("ur10e")), Tcp()
     q = np.array([0.0, -1.4, 1.8, -2.0, -1.57, 0.0])
     start = arm.tcp(q, tool)
     able = line_capability(arm, tool, q, Frame(np.add(start.position, [0.0, 0.0, 0.1]), start.rotation), UNLOADED)

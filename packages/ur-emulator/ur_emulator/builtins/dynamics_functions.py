@@ -15,7 +15,7 @@ from ur_emulator.builtins.motion_functions import SOLUTION_STEPS, Blocking, Moti
 from ur_emulator.controller.controller import Controller
 from ur_emulator.motion.arguments import checked_frame, number, six
 from ur_emulator.motion.capability import Capability, Load, joint_capability, line_capability
-from ur_emulator.motion.tool_kinematics import Tool
+from ur_emulator.motion.tool_kinematics import Tcp
 from ur_emulator.script import Builtins
 
 # Names and defaults of the parameters are those of UR's script manual; they are what programs write.
@@ -72,11 +72,11 @@ def dynamics_builtins(controller: Controller) -> Builtins:
         controller.spend(SOLUTION_STEPS // 5)
         return present if values is None else np.array(six(values, what))
 
-    def tool_of(tcp: Any) -> Tool:
+    def tool_of(tcp: Any) -> Tcp:
         if tcp is None:
             return motion.tool
         checked_frame(tcp, "a TCP")
-        return Tool(tcp)
+        return Tcp(tcp)
 
     def get_mass_matrix(q: Any = None, include_rotors_inertia: Any = False) -> list[list[float]]:
         joints = given(q, controller.reading.q_rad, "q of get_mass_matrix")

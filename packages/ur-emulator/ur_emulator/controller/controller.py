@@ -24,8 +24,8 @@ from ur_emulator.controller.program_runner import ProgramRunner
 from ur_emulator.controller.received import Received
 from ur_emulator.controller.registers import Registers, Watchdog
 from ur_emulator.controller.safety import Demand, Safety
-from ur_emulator.motion import JointTorques, Motion
-from ur_emulator.motion.tool_kinematics import Tool
+from ur_emulator.motion import JointTorques, MotionGenerator
+from ur_emulator.motion.tool_kinematics import Tcp
 from ur_emulator.ports.rtde_variables import zero_values
 from ur_emulator.ports.script_sockets import ScriptSockets
 from ur_emulator.script import Builtins, Program
@@ -148,7 +148,7 @@ class Controller:
         self.sockets = ScriptSockets(system, name)
         self.safety = Safety(profile.assumptions, powered=powered)
         self._reported_mode = self.safety.safety_mode
-        self.motion = Motion(
+        self.motion = MotionGenerator(
             profile.tick_s, substeps, q_rad, dh=dh, lookahead_scale=lookahead_scale, assumptions=profile.assumptions
         )
         self.payload = Payload(gripper_kg)
@@ -233,7 +233,7 @@ class Controller:
         torques, weight = self.motion.torques, (self.payload.mass_kg - self.gripper_kg) * GRAVITY_M_S2
         if torques is None or not weight:
             return torques
-        lift = self.motion.arm.jacobian(self.reading.q_rad, Tool((*self.payload.cog_m, 0.0, 0.0, 0.0)))[2]
+        lift = self.motion.arm.jacobian(self.reading.q_rad, Tcp((*self.payload.cog_m, 0.0, 0.0, 0.0)))[2]
         return JointTorques(torques.torque_nm + weight * lift, torques.coulomb_scale)
 
     def _check_faults(self, reading: ArmReading) -> None:
@@ -534,7 +534,9 @@ class _Shown:
 
     __slots__ = ("_arm", "_tool", "q_before", "reading", "target_q", "target_qd", "target_qdd", "wrench")
 
-    def __init__(self, reading: ArmReading, q_before: Array, motion: Motion, target_qdd: Array, wrench: Array) -> None:
+    def __init__(
+        self, reading: ArmReading, q_before: Array, motion: MotionGenerator, target_qdd: Array, wrench: Array
+    ) -> None:
         self.reading, self.q_before, self.wrench = reading, q_before, wrench
         self.target_q, self.target_qd, self.target_qdd = motion.q, motion.qd, target_qdd
         self._arm, self._tool = motion.arm, motion.tool

@@ -10,7 +10,7 @@ from ur_core.protocol.modes import RuntimeState
 from ur_core.protocol.primary_messages import PROGRAM_STARTED, PROGRAM_STOPPED
 from ur_emulator.controller.profile import ControllerProfile
 from ur_emulator.controller.safety import Demand
-from ur_emulator.motion import Motion
+from ur_emulator.motion import MotionGenerator
 from ur_emulator.script import Builtins, Machine, Program, read
 
 log = logging.getLogger(__name__)
@@ -46,7 +46,7 @@ class ProgramRunner:
     def __init__(
         self,
         profile: ControllerProfile,
-        motion: Motion,
+        motion: MotionGenerator,
         builtins: Builtins,
         failed: Callable[[ScriptError], None],
         announce: Callable[[str, str], None],

@@ -6,7 +6,7 @@ moves, are sums of two trajectories, so that speeds have no jumps.
 """
 
 from ur_emulator.motion.joint_torque import JointTorques
-from ur_emulator.motion.motion import Motion
+from ur_emulator.motion.motion import MotionGenerator
 from ur_emulator.motion.reference import Handle, MotionFault
 
-__all__ = ["Handle", "JointTorques", "Motion", "MotionFault"]
+__all__ = ["Handle", "JointTorques", "MotionFault", "MotionGenerator"]

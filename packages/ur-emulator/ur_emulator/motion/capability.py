@@ -15,7 +15,7 @@ from ur_core.kinematics.robots import robot_model
 from ur_core.types import Array, Vector3
 from ur_emulator.motion.cartesian import ACCELERATION_LIMIT, SPEED_LIMIT
 from ur_emulator.motion.paths import Line
-from ur_emulator.motion.tool_kinematics import ArmKinematics, Frame, Tool
+from ur_emulator.motion.tool_kinematics import ArmKinematics, Frame, Tcp
 from ur_emulator.motion.trajectories import ACCELERATION_LIMIT_RAD_S2
 
 _POINTS: Final = 9  # of a line in space at which its slopes are taken
@@ -53,12 +53,12 @@ def joint_capability(robot: str, start: Array, end: Array, load: Load) -> Capabi
     return Capability(min(speed, most), min(acceleration, ACCELERATION_LIMIT_RAD_S2))
 
 
-def line_capability(arm: ArmKinematics, tool: Tool, start: Array, end: Frame, load: Load) -> Capability | None:
+def line_capability(arm: ArmKinematics, tool: Tcp, start: Array, end: Frame, load: Load) -> Capability | None:
     """Return the capability on a line in space, in m/s and m/s², or where the rotation is larger in rad/s and rad/s².
 
     Args:
         arm: Kinematics of the arm.
-        tool: Tool that carries the TCP.
+        tool: Pose of the TCP on the flange.
         start: (6,) joint positions.
         end: Final pose of the TCP.
         load: Payload.

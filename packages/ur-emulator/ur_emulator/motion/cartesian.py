@@ -11,7 +11,7 @@ from ur_core.errors import UnreachableError
 from ur_core.kinematics.rotations import quat_from_rotvec, quat_to_matrix
 from ur_core.types import Array
 from ur_emulator.motion.paths import Path
-from ur_emulator.motion.tool_kinematics import ArmKinematics, Frame, Tool
+from ur_emulator.motion.tool_kinematics import ArmKinematics, Frame, Tcp
 from ur_emulator.motion.trajectories import (
     ACCELERATION_LIMIT_RAD_S2,
     TIME_EPSILON_S,
@@ -36,13 +36,13 @@ class PoseTrajectory(Trajectory):
 
     Args:
         arm: Kinematics of the arm.
-        tool: Tool that carries the TCP.
+        tool: Pose of the TCP on the flange.
         near: (6,) joint positions at the start.
     """
 
     governed = True
 
-    def __init__(self, arm: ArmKinematics, tool: Tool, near: Array) -> None:
+    def __init__(self, arm: ArmKinematics, tool: Tcp, near: Array) -> None:
         self.arm, self.tool, self.near = arm, tool, near
         self._reached = near
 
@@ -72,7 +72,7 @@ class PoseMove(PoseTrajectory):
 
     Args:
         arm: Kinematics of the arm.
-        tool: Tool that carries the TCP.
+        tool: Pose of the TCP on the flange.
         near: (6,) joint positions at the start.
         path: Path of the TCP.
         end: (6,) joint positions at the end.
@@ -85,7 +85,7 @@ class PoseMove(PoseTrajectory):
     def __init__(
         self,
         arm: ArmKinematics,
-        tool: Tool,
+        tool: Tcp,
         near: Array,
         path: Path,
         end: Array,
@@ -148,13 +148,13 @@ class PoseBrake(PoseTrajectory):
 
     Args:
         arm: Kinematics of the arm.
-        tool: Tool that carries the TCP.
+        tool: Pose of the TCP on the flange.
         near: (6,) joint positions at the start.
         twist: (6,) speed at the start, m/s and rad/s.
         time: Duration, s.
     """
 
-    def __init__(self, arm: ArmKinematics, tool: Tool, near: Array, twist: Array, time: float) -> None:
+    def __init__(self, arm: ArmKinematics, tool: Tcp, near: Array, twist: Array, time: float) -> None:
         super().__init__(arm, tool, near)
         self._start, self._twist, self.duration = arm.tcp(near, tool), twist, time
 
@@ -171,7 +171,7 @@ class SpeedPose(PoseTrajectory):
 
     Args:
         arm: Kinematics of the arm.
-        tool: Tool that carries the TCP.
+        tool: Pose of the TCP on the flange.
         near: (6,) joint positions at the start.
         twist: (6,) speed at the start, m/s and rad/s.
     """
@@ -179,7 +179,7 @@ class SpeedPose(PoseTrajectory):
     streamed = True
     duration = float("inf")
 
-    def __init__(self, arm: ArmKinematics, tool: Tool, near: Array, twist: Array) -> None:
+    def __init__(self, arm: ArmKinematics, tool: Tcp, near: Array, twist: Array) -> None:
         super().__init__(arm, tool, near)
         self._start, self._twist, self._target = arm.tcp(near, tool), twist, twist
         self._change = np.zeros((2, 6))  # rows: acceleration of translation, of rotation

@@ -41,7 +41,7 @@ _LIMITS_RAD: Final = (JOINT_RANGE_RAD + 1e-9).tolist()
 _MAX_TICKS: Final = 2**31
 
 
-class Motion(ToolMotion):
+class MotionGenerator(ToolMotion):
     """Reference motion of one arm, with the motion commands of URScript.
 
     A command takes effect in the next `plan` and replaces the previous one, from the present position and speed. Every

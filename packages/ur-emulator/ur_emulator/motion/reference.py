@@ -17,7 +17,7 @@ from ur_emulator.motion.cartesian import PoseBlend
 from ur_emulator.motion.compliance import SPEED_CAP, TIME_CONSTANT_S, Compliance
 from ur_emulator.motion.joint_torque import JointTorques
 from ur_emulator.motion.servo import Servo
-from ur_emulator.motion.tool_kinematics import ArmKinematics, Tool
+from ur_emulator.motion.tool_kinematics import ArmKinematics, Tcp
 from ur_emulator.motion.trajectories import JointBrake, Superposed, Trajectory
 
 # Codes and meanings: the error codes of UR's service manual.
@@ -105,7 +105,7 @@ class Reference:
         self.tick_s, self.substeps = tick_s, substeps
         self.lookahead_scale = lookahead_scale
         self.assumptions = Assumptions() if assumptions is None else assumptions
-        self.arm, self.tool = ArmKinematics(dh), Tool()
+        self.arm, self.tool = ArmKinematics(dh), Tcp()
         self.joint_speed_rad_s = robot_model(dh.robot).joint_speed_rad_s
         q = np.array(q_rad, dtype=np.float64)
         if q.shape != (6,) or not np.isfinite(q).all():

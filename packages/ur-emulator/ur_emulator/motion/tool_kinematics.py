@@ -73,7 +73,7 @@ def pose_of(frame: Frame) -> UrPose:
     return (*frame.position.tolist(), *rotvec_of(frame.rotation))
 
 
-class Tool:
+class Tcp:
     """Pose of the TCP on the flange.
 
     Args:
@@ -111,11 +111,11 @@ class ArmKinematics:
         twists = [(math.cos(alpha), math.sin(alpha)) for alpha in dh.alpha_rad]
         self._links = [(*each, *twist) for *each, twist in zip(dh.theta_rad, dh.d_m, dh.a_m, twists, strict=True)]
 
-    def tcp(self, q: Array | Sequence[float], tool: Tool) -> Frame:
+    def tcp(self, q: Array | Sequence[float], tool: Tcp) -> Frame:
         """Return the pose of the TCP at joint angles (6,)."""
         return tool.tcp(Frame(*flange_pose(q, self.dh)))
 
-    def tcp_and_jacobian(self, q: Array, tool: Tool) -> tuple[Frame, Array]:
+    def tcp_and_jacobian(self, q: Array, tool: Tcp) -> tuple[Frame, Array]:
         """Return poses of the TCP at joint angles (n, 6), and its Jacobian (n, 6, 6) in m/s and rad/s per rad/s."""
         position, rotation, jacobian = pose_and_jacobian(q, self.dh)
         if tool.is_flange:
@@ -125,7 +125,7 @@ class ArmKinematics:
         jacobian[:, :3] += cross(jacobian[:, 3:].swapaxes(1, 2), lever[:, None]).swapaxes(1, 2)
         return Frame(position + lever, rotation @ tool.rotation), jacobian
 
-    def pose_and_speed(self, q: Array, qd: Array, tool: Tool) -> tuple[UrPose, tuple[float, ...]]:
+    def pose_and_speed(self, q: Array, qd: Array, tool: Tcp) -> tuple[UrPose, tuple[float, ...]]:
         """Return pose (6,) and speed (6,), m/s and rad/s in base, of the TCP at joint angles and speeds (6,).
 
         One arm in plain numbers takes a fifth of the time of one row of arrays, and controllers do this in every
@@ -165,12 +165,12 @@ class ArmKinematics:
             rows = (flange @ tool.rotation).tolist()
         return (px, py, pz, *_rotvec(rows)), (vx, vy, vz, wx, wy, wz)
 
-    def jacobian(self, q: Array, tool: Tool) -> Array:
+    def jacobian(self, q: Array, tool: Tcp) -> Array:
         """Return the Jacobian (6, 6) of the TCP in m/s and rad/s per rad/s."""
         jacobian: Array = self.tcp_and_jacobian(q[None], tool)[1][0]
         return jacobian
 
-    def joints(self, tcp: Frame, near: Array, tool: Tool) -> tuple[Array, bool]:
+    def joints(self, tcp: Frame, near: Array, tool: Tcp) -> tuple[Array, bool]:
         """Return the joint angles (n, 6) nearest to `near` (6,) for n poses of the TCP, and if all are in reach."""
         flange = tool.flange(tcp)
         position = flange.position

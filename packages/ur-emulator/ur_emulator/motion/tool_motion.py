@@ -19,7 +19,7 @@ from ur_emulator.motion.compliance import (
 )
 from ur_emulator.motion.reference import ZEROS, Reference
 from ur_emulator.motion.servo import Servo
-from ur_emulator.motion.tool_kinematics import Frame, Tool, UrPose, pose_of
+from ur_emulator.motion.tool_kinematics import Frame, Tcp, UrPose, pose_of
 
 
 class ToolMotion(Reference):
@@ -42,7 +42,7 @@ class ToolMotion(Reference):
         """`set_tcp`: use the TCP at this pose (6,) on the flange for later commands."""
         numbers = six(pose, "the TCP")
         checked_frame(numbers, "the TCP")
-        self.tool = Tool(numbers)
+        self.tool = Tcp(numbers)
 
     def tcp_pose(self, q: Sequence[float] | Array) -> UrPose:
         """Return the pose of the TCP at joint angles (6,)."""
@@ -50,7 +50,7 @@ class ToolMotion(Reference):
 
     def flange_pose(self, q: Sequence[float] | Array) -> UrPose:
         """Return the pose of the flange at joint angles (6,)."""
-        return pose_of(self.arm.tcp(q, Tool()))
+        return pose_of(self.arm.tcp(q, Tcp()))
 
     def tcp_speed(self, q: Sequence[float] | Array, qd: Sequence[float] | Array) -> tuple[float, ...]:
         """Return the speed (6,) of the TCP, m/s and rad/s in base."""
@@ -146,8 +146,8 @@ class ToolMotion(Reference):
             self._trajectory.shift(self.q, self._rate + self._yield)
             self._offset = self._yield = ZEROS
 
-    def _tool(self, tcp: Sequence[float] | None) -> Tool:
+    def _tool(self, tcp: Sequence[float] | None) -> Tcp:
         if tcp is None or tcp is self.tool.pose:
             return self.tool
         checked_frame(tcp, "a TCP")
-        return Tool(tcp)
+        return Tcp(tcp)

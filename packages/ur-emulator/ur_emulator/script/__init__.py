@@ -2,7 +2,7 @@
 
 from ur_emulator.script.compiled import Program, parse, read
 from ur_emulator.script.library import library
-from ur_emulator.script.machine import Machine, Thread
+from ur_emulator.script.machine import Machine, ScriptThread
 from ur_emulator.script.splitter import Splitter
 from ur_emulator.script.values import Builtins, Pose, VersionBuiltins, text
 
@@ -11,8 +11,8 @@ __all__ = [
     "Machine",
     "Pose",
     "Program",
+    "ScriptThread",
     "Splitter",
-    "Thread",
     "VersionBuiltins",
     "library",
     "parse",

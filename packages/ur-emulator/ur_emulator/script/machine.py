@@ -37,7 +37,7 @@ class _KillError(Exception):
     """Raised when a thread kills itself."""
 
 
-class Thread:
+class ScriptThread:
     """Thread of a running program, compared by identity.
 
     Attributes:
@@ -83,10 +83,10 @@ class Machine:
             raise SettingsError(f"steps_per_tick must be at least 1, found {steps_per_tick}")
         program.check(builtins)
         self.program = program
-        self.thread: Thread | None = None
+        self.thread: ScriptThread | None = None
         self.finished = False
         self._steps_per_tick = steps_per_tick
-        self._threads: list[Thread] = []
+        self._threads: list[ScriptThread] = []
         self._handles = 0
         self._names: dict[str, Any] = {"__builtins__": {}, "n_steps": steps_per_tick}
         self._names.update({f"b_{name}": builtins[name] for name in program.used})
@@ -102,7 +102,7 @@ class Machine:
             n_shallower=self._shallower,
         )
         exec(program.code, self._names)
-        self._threads.append(Thread(program.name, 0, self._names[MAIN]()))
+        self._threads.append(ScriptThread(program.name, 0, self._names[MAIN]()))
 
     def tick(self) -> None:
         """Run one control period. A finished program does nothing.
@@ -138,7 +138,7 @@ class Machine:
         for thread in self._threads:
             self._end(thread)
 
-    def _resume(self, thread: Thread) -> None:
+    def _resume(self, thread: ScriptThread) -> None:
         self.thread = thread
         try:
             thread.steps.send(None)
@@ -161,7 +161,7 @@ class Machine:
             if self.finished:
                 self.kill()
 
-    def _end(self, thread: Thread) -> None:
+    def _end(self, thread: ScriptThread) -> None:
         """End a thread. The thread that runs ends when it returns."""
         running = self.thread
         if thread is running:
@@ -179,10 +179,10 @@ class Machine:
         if len(self._threads) >= THREADS_MAX:
             raise RecursionError(f"a program has at most {THREADS_MAX} threads, also of those started in one period")
         self._handles += 1
-        self._threads.append(Thread(function.__name__[2:], self._handles, function(*arguments, **keywords)))
+        self._threads.append(ScriptThread(function.__name__[2:], self._handles, function(*arguments, **keywords)))
         return self._handles
 
-    def _find(self, handle: object) -> Thread | None:
+    def _find(self, handle: object) -> ScriptThread | None:
         """Return the live thread of a handle; None for 0 and for a thread that has ended."""
         if not isinstance(handle, int) or not 0 <= handle <= self._handles:
             raise ValueError(f"a thread's handle is the result of run, or 0: found {kind(handle)} ({handle})")

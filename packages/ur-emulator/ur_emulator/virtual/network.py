@@ -102,7 +102,7 @@ class MemoryTransport(Endpoint):
 class MemoryListener(Endpoint):
     """Listening port, a `ur_core.processes.transport.Listener`."""
 
-    def __init__(self, network: Network, address: tuple[str, int], group: Group, size: int) -> None:
+    def __init__(self, network: VirtualNetwork, address: tuple[str, int], group: Group, size: int) -> None:
         super().__init__(network.scheduler)
         self._network, self._address, self._group, self._size = network, address, group, size
         self._waiting: deque[MemoryTransport] = deque()
@@ -144,7 +144,7 @@ class MemoryListener(Endpoint):
                 self._waiting.popleft().close(reset=True)
 
 
-class Network:
+class VirtualNetwork:
     """Listening ports of a virtual cell by address."""
 
     def __init__(self, scheduler: Scheduler) -> None:

@@ -14,7 +14,7 @@ from ur_core.processes.garbage import GarbageCollector, NoGarbageCollector
 from ur_core.processes.remote_function import RemoteFunction
 from ur_core.processes.system import System
 from ur_core.processes.transport import Listener, Transport
-from ur_emulator.virtual.network import MemoryTransport, Network
+from ur_emulator.virtual.network import MemoryTransport, VirtualNetwork
 from ur_emulator.virtual.scheduler import (
     Actor,
     GreenletExit,
@@ -96,7 +96,7 @@ class World:
 
     def __init__(self) -> None:
         self.scheduler = Scheduler()
-        self.network = Network(self.scheduler)
+        self.network = VirtualNetwork(self.scheduler)
         self.pids = itertools.count(1)
         self.processes: dict[int, VirtualProcess] = {}
 

@@ -49,3 +49,22 @@ def run(path: Path, *arguments: str, folder: Path, output: Path, **environment: 
     text = output.read_text() if output.exists() else ""
     assert process.exitcode == 0, text
     return text
+
+
+def run_tests(tests: Path, *paths: Path, folder: Path) -> str:
+    """Run a folder of tests with pytest, as `run` does a script, and return what it prints.
+
+    Args:
+        tests: Folder of the tests.
+        *paths: Folders to import from before all others.
+        folder: An empty folder to run in.
+
+    Raises:
+        AssertionError: A test failed.
+    """
+    script = folder / "run_tests.py"
+    options = ["-q", "-p", "no:cacheprovider", "--rootdir", str(tests.parent), str(tests)]
+    script.write_text(
+        f"import sys, pytest\nsys.path[:0] = {[str(each) for each in paths]}\nsys.exit(pytest.main({options}))\n"
+    )
+    return run(script, folder=folder, output=folder / "output")

@@ -2,14 +2,12 @@
 
 import ast
 import io
-import os
-import subprocess
-import sys
 import tokenize
 
 import pytest
 
 from dual_ur10 import tasks
+from tests import scripts
 from tests.two_arm_tasks import FOLDER, install
 
 MODULES = sorted((FOLDER / "two_arm_tasks").glob("*_*.py"))
@@ -45,8 +43,4 @@ def test_it_installs_and_its_own_tests_pass(tmp_path):
     """Its copy, installed with its entry point, on every interface and on virtual cells."""
     pytest.importorskip("greenlet")
     install(tmp_path / "installed")
-    path = os.pathsep.join([str(tmp_path / "installed"), *filter(None, sys.path)])
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(FOLDER / "tests")]
-    environment = {**os.environ, "PYTHONPATH": path}
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=600)
-    assert done.returncode == 0, done.stdout + done.stderr
+    scripts.run_tests(FOLDER / "tests", tmp_path / "installed", folder=tmp_path)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import subprocess
 import sys
 
 import pytest
 
+from tests import scripts
 from tests.cli.command import run
 
 PRINTED = ("pip install -e {}", "python -m dual_ur10 evaluate Lab/ReachBoth-v0", "pytest {}")
@@ -32,19 +32,14 @@ def test_the_printed_commands_work_in_a_process_that_has_not_imported_it(project
     if editable:  # as pip leaves it, whose --editable needs a package from the network
         shutil.rmtree(tmp_path / "reach_both")
         (tmp_path / "reach_both.pth").write_text(f"{project}\n")
-    command = [sys.executable, "-c", RUN, str(tmp_path), *PRINTED[1].split()[2:], "--episodes", "2"]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    done = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
-    assert "2 of 2" in done.stdout
+    script = tmp_path / "run.py"
+    script.write_text(RUN)
+    arguments = [str(tmp_path), *PRINTED[1].split()[2:], "--episodes", "2"]
+    assert "2 of 2" in scripts.run(script, *arguments, folder=tmp_path, output=tmp_path / "output")
 
 
-def test_its_own_tests_pass(project):
-    path = os.pathsep.join([str(project), *sys.path])
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(project / "tests")]
-    environment = {**os.environ, "PYTHONPATH": path}
-    done = subprocess.run(command, cwd=project, env=environment, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stdout
+def test_its_own_tests_pass(project, tmp_path):
+    scripts.run_tests(project / "tests", project, folder=tmp_path)
 
 
 def test_it_is_as_well_kept_as_this_package(project):

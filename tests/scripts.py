@@ -5,6 +5,7 @@ import os
 import runpy
 import sys
 import warnings
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 _WITHIN_S = 300.0
@@ -27,6 +28,13 @@ def _run(path: Path, arguments: tuple[str, ...], folder: Path, environment: dict
     runpy.run_path(str(path), run_name="__main__")
 
 
+def start(path: Path, *arguments: str, folder: Path, output: Path, **environment: str) -> BaseProcess:
+    """Start a script, see `run`."""
+    process = _forked.Process(target=_run, args=(path, arguments, folder, environment, output))
+    process.start()
+    return process
+
+
 def run(path: Path, *arguments: str, folder: Path, output: Path, **environment: str) -> str:
     """Run a script in a folder as `python PATH ARGUMENTS` does, and return what it prints.
 
@@ -40,8 +48,7 @@ def run(path: Path, *arguments: str, folder: Path, output: Path, **environment: 
     Raises:
         AssertionError: It failed. What it printed is in the message.
     """
-    process = _forked.Process(target=_run, args=(path, arguments, folder, environment, output))
-    process.start()
+    process = start(path, *arguments, folder=folder, output=output, **environment)
     process.join(_WITHIN_S)
     if process.exitcode is None:
         process.kill()

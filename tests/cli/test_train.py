@@ -5,14 +5,13 @@ from __future__ import annotations
 import os
 import re
 import signal
-import subprocess
-import sys
 import time
 
 import pytest
 from typer.testing import CliRunner
 
 from dual_ur10.cli.main import app
+from tests import scripts
 
 SMALL = ("--envs", "2", "--set", "duration_s=0.4", "--hyperparameter", "hidden=[8]", "--hyperparameter", "fit_steps=5")
 ROUND = 20  # steps of two episodes
@@ -108,31 +107,26 @@ def test_collect_makes_a_dataset(tmp_path, monkeypatch):
 def test_ctrl_c_saves_and_prints_the_command_to_resume(tmp_path):
     pytest.importorskip("stable_baselines3")
     out = tmp_path / "out"
-    command = [sys.executable, "-m", "dual_ur10", "train", "SineTracking", *SMALL, "--out", str(out)]
-    process = subprocess.Popen(
-        [*command, "--steps", "1000000"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        env=os.environ | {"COLUMNS": "200"},
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )
+    script = tmp_path / "train.py"
+    script.write_text("import runpy\nrunpy.run_module('dual_ur10', run_name='__main__')\n")
+    arguments = ["train", "SineTracking", *SMALL, "--out", str(out), "--steps", "1000000"]
+    process = scripts.start(script, *arguments, folder=tmp_path, output=tmp_path / "output", COLUMNS="200")
     try:
         end = time.monotonic() + 120.0
         while not (out / "samples-0001.safetensors").exists():
-            assert process.poll() is None
+            assert process.is_alive()
             assert time.monotonic() < end
             time.sleep(0.05)
-        process.send_signal(signal.SIGINT)
-        try:
-            text, _ = process.communicate(timeout=60)
-        except subprocess.TimeoutExpired:  # as a person would: Python drops an interrupt that comes in a destructor
-            process.send_signal(signal.SIGINT)
-            text, _ = process.communicate(timeout=60)
+        for _ in range(2):  # as a person would: Python drops an interrupt that comes in a destructor
+            os.kill(process.pid, signal.SIGINT)
+            process.join(60.0)
+            if not process.is_alive():
+                break
     finally:
         process.kill()
-        process.wait()
-    assert process.returncode == 130, text
+        process.join()
+    text = (tmp_path / "output").read_text()
+    assert process.exitcode == 130, text
     assert f"dual-ur10 train --resume {out}" in text
     assert "Traceback" not in text
     rounds = len(list(out.glob("samples-*.safetensors")))

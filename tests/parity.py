@@ -52,12 +52,13 @@ def simulated(folder, ticks, latency):
     return keywords, actions, targets
 
 
-def handed_over(place, folder):
+def handed_over(place, folder, **of_cell):
     """Hand over in simulation, and by the same policy in a recorded episode on two controllers.
 
     Args:
         place: Cell with `make` and `close_env`.
         folder: Folder of the recording.
+        of_cell: Keywords of the policy on the cell, such as `cell`.
 
     Returns:
         The episode, the number of its late actions, and its record.
@@ -68,6 +69,7 @@ def handed_over(place, folder):
     assert rollout(env, policy, seed=1).success
     env.close()
     env = place.make(record=str(folder), **keywords)
+    policy = policies.load("scripted", HANDOVER, **of_cell, **keywords) if of_cell else policy
     found = rollout(env, policy, seed=1)
     late = env.unwrapped.core.late_actions
     place.close_env()

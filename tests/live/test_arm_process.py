@@ -1,13 +1,8 @@
 """Two arms moved by their processes through the unmodified `ur_rtde`, against emulated controllers."""
 
-import os
-import signal
-import time
-
 import pytest
 
 from dual_ur10.emulated.emulated_cell import EmulatedCell
-from dual_ur10.sim2real.runtime.arm_memory import Phase
 from tests.sim2real.runtime.pair import Pair, assert_rests_on_path, assert_stops_both
 
 pytestmark = pytest.mark.streams
@@ -40,33 +35,6 @@ def test_controllers_execute_the_written_targets(pair):
         assert len(set(known)) + pair.memories[arm].skipped >= 0.7 * (max(known) + 1)
         assert all(each in put for each in executed[: len(known) - 1])
         assert_rests_on_path(pair, arm)
-    pair.stand()
-
-
-def test_a_killed_process_stops_the_other_arm(pair):
-    pair.begin()
-    pair.move(60)
-    os.kill(pair.arms[0].process.pid, signal.SIGKILL)
-    pair.cell.wait_until("left", "runtime_state", 1)
-    assert pair.arms[1].process.wait(20.0)
-    assert pair.memories[1].phase == Phase.STOPPED
-    assert "the process of the left arm has ended" in pair.memories[1].text
-    assert_rests_on_path(pair, 1)
-    pair.stand()
-
-
-def test_a_suspended_process_sends_nothing_when_it_wakes(pair):
-    pair.begin()
-    pair.move(60)
-    os.kill(pair.arms[0].process.pid, signal.SIGSTOP)
-    pair.cell.wait_until("left", "runtime_state", 1)
-    count = pair.cell.ask("setpoints", arm="left")["count"]
-    time.sleep(0.15)  # longer than a program of ours waits, by this clock, too
-    os.kill(pair.arms[0].process.pid, signal.SIGCONT)
-    assert pair.arms[0].process.wait(20.0)
-    assert pair.memories[0].phase == Phase.FAULTED
-    assert pair.cell.ask("setpoints", arm="left")["count"] == count
-    assert pair.arms[1].process.wait(20.0)
     pair.stand()
 
 

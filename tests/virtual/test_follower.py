@@ -119,21 +119,13 @@ def test_a_violated_tolerance_stops_both_arms_and_is_no_fault(virtual_cell, exec
     assert not virtual_cell.fault
 
 
-families = pytest.mark.parametrize(
-    "virtual_cell",
-    [{"plant": "nominal"}, {"plant": "nominal", "family": "e-series"}],
-    indirect=True,
-    ids=["cb3", "e-series"],
-)
-
-
-@families
+@pytest.mark.parametrize("virtual_cell", [{"plant": "nominal", "family": "e-series"}], indirect=True, ids=["e-series"])
 def test_a_stall_shorter_than_the_lead_costs_a_known_motion_nothing(virtual_cell, executor):
     """A motion that is known ahead is written ahead. A policy owes each action by its own deadline."""
     law = executor.law
     stall_s = LEAD_S - MARGIN_S - law.period_s - (1 + SHOWN_STATES) * law.tick_s
-    handle = executor.execute(TrajectoryGoal(wave(2.0), path_tolerance_rad=1e-3))
-    for _ in range(4):
+    handle = executor.execute(TrajectoryGoal(wave(1.0), path_tolerance_rad=1e-3))
+    for _ in range(2):
         steps(handle, round(0.25 / law.period_s))
         virtual_cell.clock.sleep(stall_s)
     result = handle.wait()
@@ -142,7 +134,7 @@ def test_a_stall_shorter_than_the_lead_costs_a_known_motion_nothing(virtual_cell
     assert not virtual_cell.fault
 
 
-@families
+@nominal
 def test_a_cancel_leaves_what_is_written_and_stops_the_arms_after_it(executor):
     law, runner = executor.law, executor.cell.runner
     handle = executor.execute(wave(2.0, amplitude=0.3))
@@ -183,7 +175,7 @@ def test_nothing_moves_without_confirmation():
 
 
 def test_friction_spreads_returns_less_than_the_data_sheet_allows(executor):
-    found = list(returns(executor, 3, np.random.default_rng(0)))
+    found = list(returns(executor, 2, np.random.default_rng(0)))
     spread = spread_of(np.stack([executor.flanges_m(q_rad) for q_rad in found]))
     assert (spread.iso_9283_m > 1e-7).all()  # the plant has friction
     assert (spread.iso_9283_m < UR10_M / 2).all()

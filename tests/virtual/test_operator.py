@@ -61,7 +61,7 @@ def input_to_motion_s(rig, inputs):
     """Return the times from the reading of an input to the first motion of the arm, by the controller's clock."""
     found = []
     for number in range(inputs):
-        rig.steps(120)  # to rest
+        rig.steps(100)  # to rest
         still, begun = rig.seen[-1][1], len(rig.seen)
         read_s = rig.cell.now_s
         rig.mice[0].deflect(FORWARD if number % 2 else -FORWARD)

@@ -28,6 +28,7 @@ from dual_ur10.sim2real.programs.stream_script import (
 from dual_ur10.sim2real.recording.black_box import BlackBox
 from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.runtime.latch import Latch
+from dual_ur10.sim2real.teaching.hand_guiding import SILENCE_S, HandGuiding
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
 from dual_ur10.sim2real.trajectory.point_path import PointPath
 from dual_ur10.testing import VirtualCell
@@ -87,7 +88,7 @@ def follow(cell, at_s=None, act=None, rate_hz=5.0, duration_s=2.0, **options):
     return path, seen
 
 
-@pytest.mark.parametrize(("rate_hz", "family"), [(50.0, "cb3"), (10.0, "cb3"), (5.0, "cb3"), (10.0, "e-series")])
+@pytest.mark.parametrize(("rate_hz", "family"), [(50.0, "cb3"), (5.0, "cb3"), (10.0, "e-series")])
 def test_both_controllers_follow_the_checked_cubics_and_nothing_else(rate_hz, family):
     with VirtualCell(plant="nominal", family=family) as cell:
         path, tick_s = follow(cell, rate_hz=rate_hz)[0], cell.emulator.tick_s
@@ -131,10 +132,9 @@ def followers(monkeypatch):
 
 
 def test_slow_links_reach_the_accuracy_of_125_hz(followers):
-    found = followers.run(followers.virtual, "nominal", {"125hz": 125.0, "10hz": 10.0, "5hz": 5.0}, ("dual",))
+    found = followers.run(followers.virtual, "nominal", {"125hz": 125.0, "5hz": 5.0}, ("dual",))
     fast = found["125hz"]["flange_max_mm"]
     assert fast < 0.05
-    assert found["10hz"]["flange_max_mm"] - fast < 0.05
     assert found["5hz"]["flange_max_mm"] - fast < 0.1
     assert max(each["skew_p99_ms"] for each in found["paths"]["dual"].values()) < 0.1
 
@@ -208,19 +208,19 @@ def replaced(cell):
 
 
 @pytest.mark.parametrize(
-    ("fault", "words"),
+    ("fault", "rate_hz", "words"),
     [
-        (silence, "no point came in time"),
-        (protective, "PROTECTIVE_STOP"),
-        (lost, "right"),
-        (mute, "the controller's clock has stalled"),
-        (slider, "scaled to 50 %"),
-        (replaced, "program"),
+        (silence, 5.0, "no point came in time"),
+        (silence, 2.0, "no point came in time"),  # moves of a fixed time
+        (protective, 2.0, "PROTECTIVE_STOP"),
+        (lost, 5.0, "right"),
+        (mute, 5.0, "the controller's clock has stalled"),
+        (slider, 5.0, "scaled to 50 %"),
+        (replaced, 5.0, "program"),
+        (replaced, 2.0, "program"),
     ],
 )
-@pytest.mark.parametrize("mode", ["points", "movej"])
-def test_a_fault_of_either_arm_stops_both_and_is_latched(cell, fault, words, mode):
-    rate_hz = 5.0 if mode == "points" else 2.0
+def test_a_fault_of_either_arm_stops_both_and_is_latched(cell, fault, rate_hz, words):
     with pytest.raises(CellFaulted, match=words):
         follow(cell, 1.2, fault(cell), rate_hz, duration_s=4.0)
     cell.ask("heal", arm="left")
@@ -254,6 +254,7 @@ def test_points_that_a_link_delays_name_the_link_and_this_machine(cell):
     with pytest.raises(CellFaulted) as found:
         follow(cell, 1.2, slow, duration_s=4.0)
     assert re.search(r"left: .*(check the link, and with `uptime`|too busy)", str(found.value))
+    assert rests(cell)
 
 
 def test_a_stop_leaves_a_black_box(cell):
@@ -372,15 +373,25 @@ def test_the_mark_of_moving_arms_stays_where_a_stop_cannot_be_latched(cell, monk
         stream(cell)
 
 
-def test_the_mark_of_moving_arms_stays_after_a_second_interrupt(cell, monkeypatch):
+def guide(cell, at_s, act):
+    """Guide both arms, and do something at once."""
+    with HandGuiding(cell.file, system=cell.system) as guiding:
+        guiding.run(act)
+
+
+@pytest.mark.parametrize("moves", [follow, guide])
+def test_the_mark_of_moving_arms_stays_after_a_second_interrupt(cell, monkeypatch, moves):
     def interrupt(*_):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(program_link, "stop_programs", interrupt)
     with pytest.raises(KeyboardInterrupt):
-        follow(cell, 1.2, interrupt)
+        moves(cell, 1.2, interrupt)
     assert mark(cell) == [["moving"]] * 2
-    assert rests(cell)  # their programs starve
+    cell.clock.sleep(SILENCE_S)
+    for arm in ARMS:
+        cell.ask("push", arm=arm, wrench=[0.0, 0.0, 19.0, 0.0, 0.0, 0.0], seconds=2.0)
+    assert rests(cell)  # their programs starve, and freedrive ends
     with pytest.raises(CellFaulted, match="without stopping"):
         stream(cell)
 
@@ -395,15 +406,6 @@ def test_delays_within_half_an_interval_cost_nothing(cell):
         cell.ask("link", arm=arm, port="rtde", delay_s=0.03, jitter_s=0.02)
     path, _ = follow(cell, rate_hz=5.0)
     np.testing.assert_allclose(joints(cell), path.q_rad[-1], atol=1e-4)
-
-
-def test_a_link_that_is_too_slow_stops_both_arms(cell):
-    def slow():
-        cell.ask("link", arm="left", port="rtde", delay_s=0.3)
-
-    with pytest.raises(CellFaulted, match="left"):
-        follow(cell, 0.8, slow)
-    assert rests(cell)
 
 
 def test_a_rate_that_is_too_high_for_the_link_is_refused(cell):
@@ -496,30 +498,26 @@ def refused(cell, error, words, *, path=None, **options):
     np.testing.assert_allclose(joints(cell), home, atol=1e-6)
 
 
-def test_a_path_from_elsewhere_is_refused(cell):
-    refused(cell, TrajectoryError, "joint", path=lambda points, home: points.thin(swing(home + 0.002)))
-
-
-def test_a_path_that_the_gate_refuses_is_refused(cell):
-    fast = MotionLimits(speed_rad_s=0.1)
-    refused(cell, TrajectoryError, "joint speed", limits=fast)
-    refused(cell, TrajectoryError, "distance", path=lambda points, home: points.thin(_into_the_other(home)))
-
-
-def _into_the_other(home):
+def _into_the_table(home):
     s = np.linspace(0.0, 1.0, 1000)
     smooth = s**3 * (10 + s * (6 * s - 15))
     goal = home.copy()
-    goal[:, 1] += 1.2  # towards the table
+    goal[:, 1] += 1.2
     return home + smooth[:, None, None] * (goal - home)
 
 
-def test_another_interval_is_refused(cell):
-    refused(cell, TrajectoryError, "every", path=lambda points, home: PointPath.of_targets(swing(home), TICK_S, 0.1))
-
-
-def test_a_motion_that_nobody_confirms_is_refused(cell):
-    refused(cell, StartError, "not confirmed", confirm=lambda question: False)
+@pytest.mark.parametrize(
+    ("error", "words", "options"),
+    [
+        (TrajectoryError, "joint", {"path": lambda points, home: points.thin(swing(home + 0.002))}),
+        (TrajectoryError, "joint speed", {"limits": MotionLimits(speed_rad_s=0.1)}),
+        (TrajectoryError, "distance", {"path": lambda points, home: points.thin(_into_the_table(home))}),
+        (TrajectoryError, "every", {"path": lambda points, home: PointPath.of_targets(swing(home), TICK_S, 0.1)}),
+        (StartError, "not confirmed", {"confirm": lambda question: False}),
+    ],
+)
+def test_what_cannot_be_followed_is_refused_and_moves_nothing(cell, error, words, options):
+    refused(cell, error, words, **options)
 
 
 def test_a_slider_below_100_percent_is_refused(cell):

@@ -161,7 +161,7 @@ def takeovers(monkeypatch, count, seed=0):
 
 
 def test_takeovers_keep_limits_and_path_and_act_at_once(monkeypatch):
-    above, off_mm, delays_ms, late = takeovers(monkeypatch, 4)
+    above, off_mm, delays_ms, late = takeovers(monkeypatch, 3)
     assert above == late == 0
     assert off_mm < MOST_MM
     assert len(delays_ms) >= 2

@@ -31,7 +31,7 @@ _COMMON = {
     "print_blob": True,
     "suppress_health_check": [hypothesis.HealthCheck.too_slow],
 }
-hypothesis.settings.register_profile("repeated", derandomize=True, **_COMMON)
+hypothesis.settings.register_profile("repeated", derandomize=True, max_examples=50, **_COMMON)
 hypothesis.settings.register_profile("fresh", derandomize=False, **_COMMON)
 hypothesis.settings.load_profile("fresh" if SOAK else "repeated")
 

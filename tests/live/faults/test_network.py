@@ -4,36 +4,12 @@ import time
 
 import pytest
 
-from dual_ur10.errors import LinkError, StartError
-from dual_ur10.sim2real.runtime import runner
 from tests import soak
 from tests.live.faults.lab import ARMS
 
 pytestmark = pytest.mark.streams
 
 SILENT_TICKS = 17  # 0.1 s until a silent peer counts as lost, and packets in transit
-
-
-def test_17_an_arm_without_connections_is_named(lab):
-    lab.turn("refuse", {}, arm="right", port="rtde")
-    with pytest.raises(StartError) as found:
-        lab.make()
-    for word in ("right", lab.cell.right, "30004"):
-        assert word in str(found.value)
-    lab.assert_nothing_has_moved()
-    lab.cell.ask("heal", arm="right")
-    lab.make()  # nothing was left behind
-
-
-def test_18_a_controller_without_the_control_script_is_given_up(lab, monkeypatch):
-    monkeypatch.setattr(runner, "_READY_S", 3.0)
-    lab.turn("script_delay", {"seconds": 0.0}, arm="right", seconds=8.0)
-    with pytest.raises(LinkError, match=f"right.*{lab.cell.right}"):
-        lab.make()
-    lab.assert_nothing_has_moved((1, 1))
-    assert lab.latch.read() is None  # a start that failed is no stop
-    lab.cell.wait_until("right", "runtime_state", 2)  # its program starts all the same, and others would wait behind it
-    lab.cell.ask("press", arm="right", button="stop")
 
 
 @pytest.mark.parametrize("trial", range(soak.scaled(60)))

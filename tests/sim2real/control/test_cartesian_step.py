@@ -31,7 +31,7 @@ def test_the_condition_is_that_of_the_jacobian(q):
     assert (condition(q, NOMINAL_DH)[near] > 1e8).all()
 
 
-@settings(max_examples=300)
+@settings(max_examples=100)
 @given(POSTURES, arrays(np.float64, (4, 6), elements=st.floats(-0.2, 0.2)), st.floats(1.0, 10.0))
 def test_a_step_is_made_smaller_only_towards_a_singularity(q, step, ahead):
     fraction = fraction_of_step(q, step, ahead, NOMINAL_DH)

@@ -69,7 +69,7 @@ def test_no_base_error_brings_a_pair_closer_than_allowed() -> None:
     clearance = Clearance(FURNISHED, uncertainty=UNCERTAIN)
     most_m = BaseUncertainty(UNCERTAIN, FURNISHED, believed).most_m
     used, compared = np.zeros(len(clearance.pairs)), 0
-    for _ in range(scaled(800)):
+    for _ in range(scaled(800, 40)):
         truth = moved(build_collision_model(FURNISHED), FURNISHED, rng, UNCERTAIN)
         true = mujoco.MjData(truth)
         for q in (*random_q(rng, 20), *(HOME_Q_RAD + rng.uniform(-0.7, 0.7, (20, 2, 6)))):

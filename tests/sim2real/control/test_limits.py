@@ -7,6 +7,7 @@ import pytest
 
 from dual_ur10.errors import SettingsError
 from dual_ur10.sim2real.control.limits import HISTORY, POINTS, Envelope, MotionLimits, reach_from_joint_m
+from tests.pairwise import pairwise
 from tests.sim2real.control.motion_checks import (
     HARD,
     NARROW,
@@ -157,9 +158,9 @@ def test_the_resting_row_is_where_the_brake_ends() -> None:
     np.testing.assert_allclose(rest, end, atol=1e-4)
 
 
-@pytest.mark.parametrize("limits", [HARD, TIGHT, NARROW, TOOL])
-@pytest.mark.parametrize("tick_s", TICKS_S)
-@pytest.mark.parametrize("moving", [(0,), (1,), (0, 1, 2), (3, 4), (4,), (0, 1, 2, 3, 4, 5)])
+@pairwise(
+    limits=[HARD, TIGHT, NARROW, TOOL], tick_s=TICKS_S, moving=[(0,), (1,), (0, 1, 2), (3, 4), (4,), (0, 1, 2, 3, 4, 5)]
+)
 def test_the_cartesian_speed_is_never_underestimated(
     limits: MotionLimits, tick_s: float, moving: tuple[int, ...]
 ) -> None:

@@ -27,11 +27,11 @@ from tests.sim2real.control.motion_checks import (
     assert_within,
     braked,
 )
-from tests.soak import SOAK
+from tests.soak import scaled
 from ur_core.kinematics.ur10 import NOMINAL_DH
 from ur_core.servoj import ServojProfile
 
-SOAK_TICKS = 20_000_000 if SOAK else 100_000
+SOAK_TICKS = scaled(20_000_000, 500)
 MODES = ("joint_delta", "joint_position", "tcp_delta")
 
 
@@ -209,7 +209,7 @@ def assert_legal_and_stoppable(sent: np.ndarray, pipeline: ServojPipeline, stops
         assert_within(braked(sent[:, end - 3 : end], limits, tick_s), limits, tick_s)
 
 
-@settings(max_examples=40)
+@settings(max_examples=scaled(500))
 @given(
     kinds=st.one_of(
         st.lists(st.sampled_from(ACTION_KINDS), min_size=1, max_size=1),

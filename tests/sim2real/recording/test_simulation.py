@@ -22,9 +22,11 @@ from dual_ur10.sim2real.recording.run import LATE
 from dual_ur10.sim2real.recording.run_folder import LOG_FILE, new_folder
 from dual_ur10.sim2real.recording.simulation import SimulationRecord
 from tests.sim2real.recording.runs import TICKS
-from tests.soak import scaled
+from tests.soak import SOAK
 from ur_core.kinematics import flange_pose
 from ur_core.kinematics.ur10 import NOMINAL_DH
+
+INTERRUPTS = 1400 if SOAK else 50  # at so many calls within the recording of three steps
 
 TASKS = ("SineTracking", "Handover")
 
@@ -167,7 +169,7 @@ def test_an_interrupt_at_any_instant_leaves_a_whole_record(tmp_path):
             if calls[0] == wanted[0]:
                 signal.raise_signal(signal.SIGINT)
 
-    for number in range(1, scaled(2000) + 1):
+    for number in range(1, INTERRUPTS + 1):
         calls[0], wanted[0] = 0, (number * 37) % 1400
         folder, env, heard = tmp_path / str(number), None, False
         env = gym.make("DualUR10/SineTracking-v0", record=str(folder), disable_env_checker=True)
@@ -189,7 +191,7 @@ def test_an_interrupt_at_any_instant_leaves_a_whole_record(tmp_path):
         run = read_run(found)
         assert run.complete
         assert len(run.episodes[-1].reward) == (1 if heard else 3)
-    assert interrupted == scaled(2000)
+    assert interrupted == INTERRUPTS
 
 
 def test_events_are_in_the_record_and_in_the_log(tmp_path):

@@ -184,7 +184,7 @@ def test_every_message_before_a_cut_is_read(tmp_path, rng):
     data = path.read_bytes()
     at = data.index(b"\x06", len(data) // 2)
     short = tmp_path / "short.mcap"
-    steps = max(1, len(data) // scaled(1200))
+    steps = max(1, len(data) // scaled(1200, 40))
     before = -1
     for end in range(at, len(data), steps):
         short.write_bytes(data[:end])

@@ -32,6 +32,7 @@ from dual_ur10.sim2real.runtime.approach import (
 from dual_ur10.sim2real.runtime.arm_memory import RING, ArmMemory
 from dual_ur10.sim2real.runtime.arm_sender import MOST_LATE_S
 from dual_ur10.sim2real.runtime.path_to_start import MEASURED_RAD, START_RAD, PathToStart
+from tests.pairwise import pairwise
 from tests.sim2real.control.motion_checks import HARD, AlwaysClear, Measured, cartesian_speed
 from ur_core.kinematics.frames import ArmMount
 from ur_core.kinematics.ur10 import JOINT_RANGE_RAD
@@ -66,9 +67,7 @@ def random_path(seed, size):
     return [HOME, HOME + size * rng.uniform(-1, 1, 12)]
 
 
-@pytest.mark.parametrize("speed_factor", [1.0, 0.5, 0.25])
-@pytest.mark.parametrize("tick_s", TICKS_S)
-@pytest.mark.parametrize("size", [1.5, 0.2, 1e-3])
+@pairwise(speed_factor=[1.0, 0.5, 0.25], tick_s=TICKS_S, size=[1.5, 0.2, 1e-3])
 def test_its_real_time_rates_are_those_configured(speed_factor, tick_s, size):
     parts = random_path(round(size * 1000), size)
     approach = Approach([*parts, HOME], RATES, speed_factor)
@@ -276,9 +275,7 @@ def test_the_whole_path_is_checked(shortfall, free, monkeypatch):
             plan(HOME_Q_RAD, goal, Somewhere(shortfall), RATES)
 
 
-@pytest.mark.parametrize(("arm", "name"), [(0, "left"), (1, "right")])
-@pytest.mark.parametrize("joint", range(6))
-@pytest.mark.parametrize("sign", [-1, 1])
+@pairwise(arm__name=[(0, "left"), (1, "right")], joint=range(6), sign=[-1, 1])
 def test_a_joint_out_of_its_range_is_refused(clearance, arm, name, joint, sign):
     q = HOME_Q_RAD.copy()
     q[arm, joint] = sign * (JOINT_RANGE_RAD[joint] + 0.01)
@@ -326,13 +323,15 @@ def test_a_pair_that_is_too_close_may_only_separate(start, then, clear, blamed):
         assert leaving.worst(configuration(then))[0] == blamed
 
 
-@pytest.mark.parametrize("tick_s", TICKS_S)
-@pytest.mark.parametrize("factor", [1.0, 0.5, 0.25])
-@pytest.mark.parametrize(
-    "limits",
-    [MotionLimits(), MotionLimits(speed_rad_s=(0.2,) * 6, tcp_speed_m_s=0.1, acceleration_rad_s2=0.5, jerk_rad_s3=5.0)],
+@pairwise(
+    tick_s=TICKS_S,
+    factor=[1.0, 0.5, 0.25],
+    limits=[
+        MotionLimits(),
+        MotionLimits(speed_rad_s=(0.2,) * 6, tcp_speed_m_s=0.1, acceleration_rad_s2=0.5, jerk_rad_s3=5.0),
+    ],
+    size=[1.0, 1e-3],
 )
-@pytest.mark.parametrize("size", [1.0, 1e-3])
 def test_an_approach_passes_the_gate_under_any_limits(tick_s, factor, limits, size):
     path = [HOME, HOME + size * np.tile([0.5, -0.2, 0.2, 0.3, -0.3, 1.0], 2)]
     rates = RATES.within(limits, factor)

@@ -36,8 +36,8 @@ HANDOVER, SINE = "DualUR10/Handover-v0", "DualUR10/SineTracking-v0"
 class Bench:
     """Virtual cell, and at most one environment on it."""
 
-    def __init__(self):
-        self.cell = VirtualCell(task="Handover", plant="nominal")
+    def __init__(self, **options):
+        self.cell = VirtualCell(task="Handover", plant="nominal", **options)
         self.ask, self.clock = self.cell.ask, self.cell.clock
         self.env = None
 
@@ -79,8 +79,8 @@ class Bench:
 
 
 @pytest.fixture
-def bench():
-    made = Bench()
+def bench(request):
+    made = Bench(**getattr(request, "param", {}))
     yield made
     made.close()
 
@@ -149,10 +149,16 @@ def test_a_real_cell_asks_at_the_terminal_and_a_pipe_is_none(bench):
         bench.env.reset(seed=0)
 
 
+@pytest.mark.parametrize("bench", [{"tools": ("generic_140", "robotiq_2f85")}], indirect=True)
 def test_one_policy_hands_over_on_both_cells_with_a_record(bench, tmp_path):
-    found, late, run = handed_over(bench, tmp_path)
+    """Gate, policy, drivers and emulated grippers have the same figures of two different tools."""
+    assert [each.gripper.tool for each in bench.cell.file.arms] == ["generic_140", "robotiq_2f85"]
+    found, late, run = handed_over(bench, tmp_path, cell=bench.cell)
     assert found.success, found.ended_by
     assert late == 0
+    layout = gym.make(HANDOVER, cell="echo").unwrapped.task.layout
+    opened = layout.split(run.episodes[0].observation[0])["gripper_m"]
+    np.testing.assert_allclose(opened[:, 0], [0.14, 0.085], atol=2e-3)
     for arm in run.arms:
         np.testing.assert_allclose(np.diff(arm.state["timestamp_s"]), 0.008, atol=1e-9)
         assert len(arm.sent["late_s"]) >= 5 * found.steps
@@ -343,7 +349,7 @@ def test_nothing_goes_to_a_start_past_the_gate(bench):
     for spoiled in ("jump", "nan", "table"):
         here = cell.runner.last().reshape(2, 6)
         there = here.copy()
-        there[0, 1] += 1.5  # through the table
+        there[0, 1] += 1.5 if spoiled == "table" else 0.5
         way = Approach([here.reshape(12), there.reshape(12)], Rates(HARD.robots)).targets(0.008)
         if spoiled == "jump":
             way[:] = here

@@ -21,6 +21,7 @@ from dual_ur10.sim2real.runtime.safety_monitor import (
     MonitorSettings,
     SafetyMonitor,
 )
+from tests.pairwise import pairwise
 from tests.ur_emulator.statuses import status_of
 from ur_core.kinematics.forward import flange_pose, flange_pose_quat
 from ur_core.kinematics.frames import ArmMount, Frames
@@ -161,9 +162,7 @@ def led(parts, late, size=0.4, arm=0):
     return targets
 
 
-@pytest.mark.parametrize("arm", [0, 1])
-@pytest.mark.parametrize("late", [0, 2, 11])
-@pytest.mark.parametrize("lag", [0, 5, 12])
+@pairwise(arm=[0, 1], late=[0, 2, 11], lag=[0, 5, 12])
 def test_an_arm_that_lags_as_a_whole_is_an_error(parts, late, lag, arm):
     """Its controller's own target lags as well and does not show it. A common lag is no error."""
     targets = led(parts, late, arm=arm)
@@ -364,9 +363,11 @@ def test_an_arm_that_stops_without_a_reason(parts):
     assert monitor.processes(10.0) == "right: its process has stopped"
 
 
-@pytest.mark.parametrize("arm", [0, 1])
-@pytest.mark.parametrize(("phase", "most_s"), [(Phase.STREAMING, STALE_S), (Phase.READY, WAITING_S)])
-@pytest.mark.parametrize(("lives", "what"), [(True, "no longer responds"), (False, "has ended")])
+@pairwise(
+    arm=[0, 1],
+    phase__most_s=[(Phase.STREAMING, STALE_S), (Phase.READY, WAITING_S)],
+    lives__what=[(True, "no longer responds"), (False, "has ended")],
+)
 def test_a_process_that_no_longer_responds_stops_both(parts, arm, phase, most_s, lives, what):
     monitor = watch(parts, phase=phase)
     parts[0][arm].note_process(os.getpid() if lives else 2**22 + 1)  # the second is beyond those of Linux

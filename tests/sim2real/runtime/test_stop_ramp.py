@@ -21,7 +21,7 @@ def targets_of(speed, tick_s):
     return np.array(targets)
 
 
-@settings(max_examples=300)
+@settings(max_examples=100)
 @given(speeds, st.sampled_from([0.008, 0.002]))
 def test_a_ramp_is_straight_and_within_its_limits(speed, tick_s):
     targets = targets_of(speed, tick_s)

@@ -243,7 +243,7 @@ def draw(rng):
 
 
 def test_a_goal_is_cancelled_at_random_instants():
-    for seed in range(scaled(400)):
+    for seed in range(scaled(400, 40)):
         rng = np.random.default_rng(seed)
         executor, trajectory = draw(rng)
         handle = executor.execute(trajectory)
@@ -264,7 +264,7 @@ def test_a_goal_is_cancelled_at_random_instants():
 
 
 def test_a_goal_is_replaced_at_random_instants():
-    for seed in range(scaled(400)):
+    for seed in range(scaled(400, 40)):
         rng = np.random.default_rng(seed)
         executor, trajectory = draw(rng)
         handle = executor.execute(trajectory)
@@ -289,7 +289,7 @@ def test_a_goal_is_replaced_at_random_instants():
 
 
 def test_a_stream_runs_out_of_points_at_random_instants():
-    for seed in range(scaled(400)):
+    for seed in range(scaled(400, 40)):
         rng = np.random.default_rng(seed)
         executor = made(int(rng.choice([0, 5])))
         duration = rng.uniform(1.0, 3.0)

@@ -77,7 +77,7 @@ def test_the_gate_releases_every_motion(limits, profile):
 def test_the_first_try_is_released(limits, profile, monkeypatch):
     monkeypatch.setattr(path_timing, "_CARE", (1.0,))
     rng, (gate, law) = np.random.default_rng(1), gate_and_law(limits, profile)
-    for _ in range(scaled(160)):
+    for _ in range(scaled(160, 40)):
         time_path(random_corners(rng, limits), gate, law)
 
 

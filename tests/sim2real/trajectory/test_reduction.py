@@ -15,7 +15,7 @@ from dual_ur10.sim2real.trajectory.interpolation import Interpolation
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
 from dual_ur10.sim2real.trajectory.reduction import reduce_points
 from tests.sim2real.trajectory.following import wave
-from tests.soak import SOAK, scaled
+from tests.soak import scaled
 from ur_core.kinematics.forward import flange_pose
 from ur_core.kinematics.inverse import nearest
 from ur_core.kinematics.ur10 import NOMINAL_DH
@@ -48,7 +48,7 @@ def random_paths(draw):
 
 
 @given(random_paths(), st.sampled_from(["cubic", "linear"]), st.integers(2, 12))
-@settings(deadline=None, max_examples=10_000 if SOAK else 200)
+@settings(deadline=None, max_examples=scaled(10_000, 100))
 def test_the_bound_holds_at_all_times(trajectory, kind, points):
     reduced, deviation_rad = reduce_points(trajectory, points, None, kind)
     assert len(reduced) <= points
@@ -62,7 +62,7 @@ def test_the_bound_holds_at_all_times(trajectory, kind, points):
 
 
 @given(random_paths(), st.sampled_from(["cubic", "linear"]), st.floats(1e-5, 1.0))
-@settings(deadline=None, max_examples=scaled(2000))
+@settings(deadline=None, max_examples=scaled(2000, 40))
 def test_a_given_bound_is_kept_or_the_reachable_one_named(trajectory, kind, bound_rad):
     try:
         reduced, deviation_rad = reduce_points(trajectory, 5, bound_rad, kind)

@@ -57,7 +57,7 @@ def test_48_49_50_the_gate_brakes_before_anything_meets(lab, moves, words):
 def test_49_50_51_arms_are_led_along_what_is_in_their_way(lab, mode, action, along):
     lab.begin(steps=0, action_mode=mode)
     pipeline, led, moved = lab.env.unwrapped.core.pipeline, 0, []
-    for _ in range(100):
+    for _ in range(60):
         before = pipeline.gate.last_targets_rad
         _, _, over, _, info = lab.env.step(np.array(action, dtype=np.float32))
         assert not over

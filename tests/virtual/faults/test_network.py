@@ -7,6 +7,7 @@ import pytest
 from dual_ur10.errors import CellFaulted, CellFileError, LinkError, StartError
 from dual_ur10.sim2real.runtime import runner
 from tests import soak
+from tests.pairwise import pairwise
 from tests.virtual.faults.lab import ARMS
 from ur_core.links.rtde_link import RtdeClient
 from ur_core.protocol.rtde import Kind
@@ -94,9 +95,7 @@ def test_27_registers_in_use_are_refused(lab):
 # While the arms move.
 
 
-@pytest.mark.parametrize("arm", ARMS if soak.SOAK else ["left"])
-@pytest.mark.parametrize("reset", [True, False])
-@pytest.mark.parametrize("port", ["rtde", "all"])
+@pairwise(arm=ARMS if soak.SOAK else ["left"], reset=[True, False], port=["rtde", "all"])
 def test_19_a_lost_connection_stops_both_and_stays_lost(lab, port, reset, arm):
     lab.begin()
     before = lab.programs()

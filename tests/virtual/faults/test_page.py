@@ -2,12 +2,14 @@
 
 import pytest
 
-from dual_ur10.envs.rendering.live.attendance import UNATTENDED_S, Attendance
+from dual_ur10.envs.rendering.live import attendance
+from dual_ur10.envs.rendering.live.attendance import Attendance
 from dual_ur10.envs.rendering.live.commander import Commander
 from dual_ur10.envs.rendering.live.memory import LiveMemory
 from dual_ur10.errors import CellFaulted
 from ur_core.objects import load_object
 
+UNATTENDED_S = 1.0  # instead of 3 s
 MOST_S = UNATTENDED_S + 0.3
 
 
@@ -41,7 +43,8 @@ class Pages:
 
 
 @pytest.fixture
-def pages(lab):
+def pages(lab, monkeypatch):
+    monkeypatch.setattr(attendance, "UNATTENDED_S", UNATTENDED_S)
     lab.begin(steps=2)
     made = Pages(lab)
     yield made

@@ -20,7 +20,7 @@ def other(arm):
     return ARMS[1 - ARMS.index(arm)]
 
 
-@pytest.mark.parametrize(("arm", "mode"), ALL if soak.SOAK else ALL[::5])
+@pytest.mark.parametrize(("arm", "mode"), ALL if soak.SOAK else ALL[::9])
 def test_29_30_31_a_stop_of_one_arm_stops_both_and_stays(lab, arm, mode):
     lab.begin()
     lab.do("stop", arm=arm, mode=mode)

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.pairwise import pairwise
 from ur_core.errors import LinkError
 from ur_core.links.controller_clock import APART_S, ControllerClock, DriftCompensation
 
@@ -23,9 +24,7 @@ def packets(tick_s, seconds, *, drift=0.0, latency_s=0.0002, jitter_s=0.001, sta
         yield timestamp, last, true
 
 
-@pytest.mark.parametrize("tick_s", [0.008, 0.002])
-@pytest.mark.parametrize("drift", [0.0, 1e-4, -1e-4])
-@pytest.mark.parametrize("stall", [0.0, 0.01])
+@pairwise(tick_s=[0.008, 0.002], drift=[0.0, 1e-4, -1e-4], stall=[0.0, 0.01])
 def test_the_estimate_follows_a_drifting_clock(tick_s, drift, stall):
     clock = ControllerClock(tick_s)
     errors = []

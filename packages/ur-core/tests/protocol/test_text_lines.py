@@ -14,7 +14,7 @@ def test_lines_end_with_or_without_a_carriage_return():
 
 
 @given(st.lists(st.binary(max_size=40), max_size=30))
-@settings(max_examples=scaled(2000))
+@settings(max_examples=scaled(2000, 40))
 def test_lines_do_not_depend_on_the_cuts_between_bytes(chunks):
     reader, whole = LineReader(60), b"".join(chunks)
     got: list[str] = []

@@ -99,9 +99,14 @@ def happen(bench, name, *values):
     bench.agree()
 
 
-@pytest.mark.parametrize("family", ["cb3", "e-series"])
-@settings(max_examples=1200 if SOAK else 12)
-@given(events=st.lists(EVENTS, max_size=40), powered=st.booleans(), resumes=st.booleans(), pauses=st.booleans())
+@settings(max_examples=2400 if SOAK else 15)
+@given(
+    family=st.sampled_from(["cb3", "e-series"]),
+    events=st.lists(EVENTS, max_size=40),
+    powered=st.booleans(),
+    resumes=st.booleans(),
+    pauses=st.booleans(),
+)
 def test_any_events_keep_reports_consistent_and_arms_safe(family, events, powered, resumes, pauses):
     bench = Bench(family, powered=powered, safeguard_resumes=resumes, emergency_stop_pauses=pauses, unlock_wait_s=0.5)
     for event in events:
@@ -138,7 +143,7 @@ def stands(bench, ticks=150):
     assert np.array_equal(bench.q, q)
 
 
-@pytest.mark.parametrize("mode", [3, 4, 10, 12, 99, 255])
+@pytest.mark.parametrize("mode", [3, 4, 255])
 def test_a_stop_pauses_and_the_arm_stands_until_play(mode):
     bench = Bench(unlock_wait_s=0.2)
     counts = moving(bench)

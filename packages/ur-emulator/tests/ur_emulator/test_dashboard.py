@@ -350,7 +350,7 @@ starts = st.sampled_from([*connect(CB3)[0].commands, *connect(E_SERIES)[0].comma
 
 
 @given(st.sampled_from([CB3, E_SERIES]), st.booleans(), st.booleans(), starts, st.text(max_size=20))
-@settings(max_examples=scaled(4000))
+@settings(max_examples=scaled(4000, 40))
 def test_no_line_raises(profile, remote, refuses, start, rest):
     robot = Robot()
     robot.remote_control, robot.refuses = remote, refuses

@@ -87,7 +87,7 @@ def _promised(arm: MotionGenerator, law: tuple[float, float]) -> float:
     return (np.sqrt(gain) + gain * lookahead) * energy + PROGRAM + COMPLIANCE
 
 
-@settings(max_examples=scaled(1500))
+@settings(max_examples=scaled(1500, 33))
 @example(  # the wrist turns while the TCP's compliance ends
     [
         ("set_tcp", np.array([0, 0, 0, 0, 0, -0.75]), 1.0, 1.0, 1, False),

@@ -32,8 +32,8 @@ from ur_emulator.motion.trajectories import ACCELERATION_LIMIT_RAD_S2
 JOINTS = st.tuples(*(st.floats(-0.95 * r, 0.95 * r) for r in JOINT_RANGE_RAD)).map(np.array)
 
 
-@settings(max_examples=scaled(1000))
-@given(q=JOINTS, a=st.floats(0.3, 60.0), v=st.floats(0.2, 10.0))
+@settings(max_examples=scaled(1000, 50))
+@given(q=JOINTS, a=st.floats(1.0, 60.0), v=st.floats(0.5, 10.0))
 def test_movej_ends_at_its_target_in_time_and_keeps_the_limits(q, a, v):
     arm = motion()
     path, ticks = until_done(arm, arm.move_joints(q, a, v))
@@ -140,7 +140,7 @@ def test_movel_slows_down_where_a_joint_would_be_too_fast():
 def test_near_singularities_no_joint_accelerates_more_than_programs_may(tick_s, substeps):
     rng = np.random.default_rng(5)
     faults = 0
-    for _ in range(12):
+    for _ in range(6):
         q = Q0 + rng.uniform(-0.5, 0.5, 6)
         q[4] = rng.uniform(-0.05, 0.05)  # the wrist's singularity
         arm = motion(q, tick_s, substeps)
@@ -151,7 +151,7 @@ def test_near_singularities_no_joint_accelerates_more_than_programs_may(tick_s, 
         assert np.abs(accelerations).max() <= 1.1 * ACCELERATION_LIMIT_RAD_S2
         assert arm.fault is None or arm.fault.code == "C154A0"
         faults += arm.fault is not None
-    assert faults < 6
+    assert faults < 3
 
 
 def _strong(arm, kind):

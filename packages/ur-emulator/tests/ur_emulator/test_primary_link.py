@@ -145,7 +145,7 @@ def test_nothing_is_sent():
     assert sent == [b""]
 
 
-@settings(max_examples=scaled(20_000))
+@settings(max_examples=scaled(20_000, 60))
 @given(st.integers(0, 10**6), st.binary(min_size=1, max_size=8))
 def test_changed_bytes_are_a_protocol_error_or_values(place, junk):
     data = bytearray(WHOLE)

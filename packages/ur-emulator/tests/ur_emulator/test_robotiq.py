@@ -305,7 +305,7 @@ lines = st.one_of(st.text(max_size=30), st.lists(words, max_size=9).map(" ".join
 
 
 @given(st.lists(st.tuples(lines, st.floats(-0.01, 0.1), st.integers(0, 20)), max_size=20))
-@settings(max_examples=scaled(2000))
+@settings(max_examples=scaled(2000, 40))
 def test_no_line_raises_and_the_reference_stays_in_the_stroke(steps):
     gripper = RobotiqGripper()
     last_m = None

@@ -311,31 +311,6 @@ def is_closed_at_once(sock):
 
 
 @pytest.mark.usefixtures("undisturbed")
-def test_a_client_that_never_reads_loses_whole_packets(cell):
-    with contextlib.ExitStack() as stack:
-        lazy = []
-        for port in (30003, 30004, 30001):
-            sock = socket.socket()
-            stack.enter_context(sock)
-            sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-            sock.connect((cell.left, port))
-            lazy.append(sock)
-        lazy[1].sendall(rtde_bytes.VERSION_2 + rtde_bytes.outputs(rtde_bytes.RECEIVED) + rtde_bytes.message("S"))
-        for port in ("realtime", "rtde"):
-            assert settled(lambda: any(x["dropped"] > 20 for x in cell.ask("clients", arm="left")[port]), 20.0)  # noqa: B023
-        # What it reads late is whole packets all the same.
-        lazy[0].settimeout(2.0)
-        last = 0.0
-        for _ in range(150):
-            packet = received(lazy[0], lambda all_: len(all_) == 1220, at_most=1220)
-            size, at = struct.unpack_from(">id", packet)
-            assert size == 1220
-            assert at > last
-            last = at
-    works(cell)
-
-
-@pytest.mark.usefixtures("undisturbed")
 def test_a_client_that_asks_and_never_reads_is_disconnected(cell):
     with client(cell, 29999) as sock:
         sock.settimeout(0.5)

@@ -365,7 +365,7 @@ def test_the_cuts_between_bytes_do_not_matter(cuts, count):
     assert [each.values["robot_mode"] for each in got] == list(range(count))
 
 
-@settings(max_examples=scaled(20_000))
+@settings(max_examples=scaled(20_000, 60))
 @given(st.binary(max_size=200))
 def test_random_bytes_are_a_protocol_error_or_nothing(data):
     found = stream()
@@ -374,7 +374,7 @@ def test_random_bytes_are_a_protocol_error_or_nothing(data):
     assert found.latest.timestamp_s >= 1.0
 
 
-@settings(max_examples=scaled(20_000))
+@settings(max_examples=scaled(20_000, 60))
 @given(st.integers(0, 10**9), st.integers(1, 255))
 def test_a_changed_byte_is_found_or_is_in_a_value(where, change):
     package = bytearray(rtde_data(2.0))

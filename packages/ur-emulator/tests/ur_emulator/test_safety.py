@@ -4,6 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.soak import scaled
 from ur_core.errors import OperationRefusedError
 from ur_core.protocol.modes import RobotMode, SafetyBits, SafetyMode
 from ur_emulator.controller.profile import Assumptions
@@ -161,7 +162,7 @@ _EVENTS = st.one_of(
 )
 
 
-@settings(max_examples=200)
+@settings(max_examples=scaled(2000))
 @given(st.lists(_EVENTS, max_size=25))
 def test_modes_and_bits_always_agree(events):
     safety = Safety(Assumptions())

@@ -47,6 +47,7 @@ def test_power_brakes_and_program(cell, send):
     assert mode(cell, "runtime_state") == 1
 
 
+@pytest.mark.parametrize("send", [30002], indirect=True)
 def test_a_protective_stop_is_unlocked_without_the_dashboards_wait(cell, send):
     """Three tests of UR's client library unlock at once, which only the dashboard refuses."""
     for after_s in (0.0, 6.0):
@@ -75,6 +76,7 @@ def test_the_state_of_a_stop_comes_before_its_messages(cell, phase_s):
     assert found[at - 1 : at + 2] == [True, "error", "mode"]
 
 
+@pytest.mark.parametrize("send", [30003], indirect=True)
 def test_local_mode_refuses_them(cell, send):
     cell.ask("remote", arm="left", on=False)
     send("power off")

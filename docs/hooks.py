@@ -247,6 +247,7 @@ def of_repository(path: Path) -> str:
     """Return a page at the top of the repository with its links as they are on the site."""
     text = re.sub(r"\]\(docs/decisions/\)", "](decisions/index.md)", path.read_text())
     text = re.sub(r"\]\(docs/", "](", text)
+    text = re.sub(r"\]\(packages/([\w-]+)/CHANGELOG\.md\)", r"](changelog-\1.md)", text)
     return re.sub(r"\]\(([A-Z]+)\.md\)", lambda found: f"]({found[1].lower()}.md)", text)
 
 

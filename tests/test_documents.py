@@ -97,6 +97,18 @@ def test_links_lead_somewhere(path):
             assert anchor in [re.sub(r"[^\w\- ]", "", each.lower()).replace(" ", "-") for each in titles], anchor
 
 
+ROOTS = (ROOT, *(ROOT / "packages" / name for name in READMES), *TESTS)
+FOLDERS = "benchmarks|demo|docs|dual_ur10|examples|packages|tests|ur_core|ur_emulator"
+
+
+@pytest.mark.parametrize("path", [*PAGES, ROOT / "SECURITY.md"], ids=page_id)
+def test_paths_on_pages_exist(path):
+    """Files and folders of the repository, of a package or of its tests, with or without the ending of modules."""
+    named = re.findall(rf"(?<![\w/.-])((?:{FOLDERS})/[\w./-]*\w)", re.sub(r"\]\([^)]*\)", "]", path.read_text()))
+    found = {each for each in named for root in ROOTS if (root / each).exists() or (root / f"{each}.py").exists()}
+    assert sorted(set(named) - found) == []
+
+
 def test_every_page_is_in_the_navigation():
     named = set(re.findall(r"[\w/-]+\.md", (ROOT / "mkdocs.yml").read_text()))
     pages = {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}

@@ -97,18 +97,68 @@ def test_an_sdist_gives_the_same_wheel(built, tmp_path):
             assert again.read(name) == first.read(name)
 
 
+CHANGELOGS = {root: (root / "CHANGELOG.md").read_text() for root in (ROOT, CORE, EMULATOR)}
+CHANGELOG = CHANGELOGS[ROOT]
+
+
 def test_the_distributions_have_one_version():
+    """Each needs the others in it, and each changelog begins with it, released or not."""
     import dual_ur10
     import ur_core
     import ur_emulator
 
-    needed = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"][0]
-    assert needed == f"ur-core[mjcf]=={dual_ur10.__version__}"
-    assert ur_core.__version__ == ur_emulator.__version__ == dual_ur10.__version__
-    for root in (ROOT, EMULATOR):
-        named = re.findall(r'"ur-(?:core|emulator)(?:\[\w+\])?==([^"]+)"', (root / "pyproject.toml").read_text())
-        assert named
-        assert set(named) == {ur_core.__version__}
+    version = dual_ur10.__version__
+    assert (ur_core.__version__, ur_emulator.__version__) == (version, version)
+    for root in (ROOT, CORE, EMULATOR):
+        project = tomllib.loads((root / "pyproject.toml").read_text())["project"]
+        needed = [
+            *project["dependencies"],
+            *(each for extra in project["optional-dependencies"].values() for each in extra),
+        ]
+        others = [each for each in needed if re.match(r"(dual-ur10|ur-core|ur-emulator)\b", each)]
+        assert [
+            each for each in others if not each.startswith(project["name"]) and not each.endswith(f"=={version}")
+        ] == []
+    first = [re.search(r"^## \[(.*?)\] - (.*)$", text, re.MULTILINE).groups() for text in CHANGELOGS.values()]
+    assert first == [(version, first[0][1])] * 3
+
+
+def _step(name, job="build"):
+    """Return a step of the workflow of releases by the beginning of its name or action."""
+    jobs = yaml.safe_load((WORKFLOWS / "release.yml").read_text())["jobs"]
+    (step,) = (each for each in jobs[job]["steps"] if (each.get("name") or each.get("uses", "")).startswith(name))
+    return step
+
+
+def test_a_release_has_the_tag_of_all_distributions(tmp_path):
+    import dual_ur10
+
+    files = (
+        "dual_ur10/ids.py",
+        *(f"packages/{name}/{name.replace('-', '_')}/__init__.py" for name in (CORE.name, EMULATOR.name)),
+    )
+    for odd in (None, *files):
+        for file in files:
+            (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+            text = (ROOT / file).read_text()
+            (tmp_path / file).write_text(text.replace(dual_ur10.__version__, "9.9") if file == odd else text)
+        done = subprocess.run(
+            ["bash", "-e", "-c", _step("The tag")["run"]],
+            cwd=tmp_path,
+            env={"PATH": "/usr/bin:/bin", "GITHUB_REF_NAME": f"v{dual_ur10.__version__}"},
+            timeout=20,
+        )
+        assert (done.returncode == 0) == (odd is None), odd
+
+
+def test_a_release_publishes_all_distributions(wheels):
+    """Sdists and wheels for any platform as `make dist` builds them; the compiled wheel for each platform."""
+    patterns = _step("actions/upload-artifact")["with"]["path"].split()
+    made = {root: f"out/dist/{wheel.name}" for root, wheel in wheels.items()}
+    found = {root for root, name in made.items() if any(fnmatch.fnmatch(name, each) for each in patterns)}
+    assert found == {ROOT, EMULATOR}
+    assert "out/dist/*.tar.gz" in patterns
+    assert ROOT / _step("pypa/cibuildwheel", "wheels")["with"]["package-dir"] == CORE
 
 
 def _metadata(repository):
@@ -185,9 +235,6 @@ def test_all_addresses_and_authors_are_the_same():
     assert citation["version"] == found.config["version"]
     assert {"cff-version", "message", "title", "abstract", "type", "keywords"} <= citation.keys()
     assert ("date-released" in citation) == ("[" + citation["version"] + "] - unreleased" not in CHANGELOG)
-
-
-CHANGELOG = (ROOT / "CHANGELOG.md").read_text()
 
 
 def test_the_container_installs_what_the_pages_say():

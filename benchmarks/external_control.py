@@ -30,7 +30,7 @@ from ur_core.kinematics.ur10 import ARMS, TICK_S
 from ur_core.links.rtde_link import RtdeLink
 from ur_core.processes.system import LOCAL
 from ur_core.protocol.modes import RuntimeState
-from ur_emulator.controller.profile import profile_of
+from ur_emulator.profile import profile_of
 
 OWN = ROOT / "packages" / "ur-emulator" / "tests" / "ur_emulator" / "external_control.urscript"
 POINTS, SEGMENT_S, STEP_RAD = 10, 0.5, -0.02  # away from the table

@@ -47,10 +47,7 @@ class Contracts(NamedTuple):
 
 
 def contracts(path: Path = ROOT / ".importlinter") -> Contracts:
-    """Return the contracts of a file.
-
-    A package whose rooms no contract orders has one floor, below those of its rooms that are protected from all of it.
-    """
+    """Return the contracts of a file."""
     file = configparser.ConfigParser()
     file.read(path)
     found = {name.rpartition(":")[2]: file[name] for name in file.sections() if ":" in name}
@@ -65,16 +62,6 @@ def contracts(path: Path = ROOT / ".importlinter") -> Contracts:
                     floors[package].append(rooms)
                 elif package not in floors:
                     outside.append(package)
-    for package in (each for each, rows in floors.items() if not rows):
-        folder = next(ROOT.glob(f"packages/*/{package}"))
-        rooms = sorted(each.parent.name for each in folder.glob("*/__init__.py"))
-        protected = [
-            module.partition(".")[2]
-            for contract in found.values()
-            for module in contract.get("protected_modules", "").split()
-            if module.startswith(f"{package}.")
-        ]
-        floors[package] = [protected, [each for each in rooms if each not in protected]]
     return Contracts(
         floors,
         outside,
@@ -155,8 +142,8 @@ class Drawing:
         style = {"arrowstyle": "-|>", "color": colour, "lw": 1.5, "shrinkA": 0, "shrinkB": 0}
         self.axis.annotate("", end, begin, arrowprops=style)
 
-    def legend(self, x: float, top: float) -> None:
-        """Explain colours and floors."""
+    def legend(self, x: float, top: float) -> float:
+        """Explain colours and floors below a height, and return that of the lower edge."""
         rows: tuple[tuple[dict[str, Any], str], ...] = (
             ({"facecolor": ENVIRONMENTS, "edgecolor": "#9e9e9e", "lw": 0.6}, "environments"),
             ({"facecolor": REAL, "edgecolor": "#9e9e9e", "lw": 0.6}, "not loaded by environments"),
@@ -167,6 +154,7 @@ class Drawing:
             middle = top - 0.15 - number * 0.28 - 0.05 * text.count("\n")
             self.box(x, middle - 0.08, 0.26, 0.16, **style)
             self.text(x + 0.34, middle, text, linespacing=1.25)
+        return middle - 0.3
 
 
 def draw(shown: Contracts) -> Any:
@@ -184,7 +172,7 @@ def draw(shown: Contracts) -> Any:
     bottom = sheet.panel(margin, top, left, "dual_ur10", shown)
     emulator = sheet.panel(beside, top, right, "ur_emulator", shown)
     core = sheet.panel(beside, emulator - 0.4, right, "ur_core", shown)
-    sheet.legend(beside, core - 0.2)
+    bottom = min(bottom, core, sheet.legend(margin, bottom - 0.1))
     sheet.arrow((margin + left, (top + emulator) / 2), (beside, (top + emulator) / 2), EMULATES)
     middle = (emulator - 0.4 + core) / 2
     sheet.arrow((margin + left, middle), (beside, middle))

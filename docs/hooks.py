@@ -94,7 +94,7 @@ def urscript() -> str:
     from ur_core.kinematics.ur10 import NOMINAL_DH
     from ur_emulator.builtins.table import builtins_of
     from ur_emulator.controller.controller import Controller
-    from ur_emulator.controller.profile import POLYSCOPES
+    from ur_emulator.profile import POLYSCOPES
     from ur_emulator.script.manual import MANUAL
 
     functions = {

@@ -8,8 +8,7 @@ from dual_ur10.assets.settings import Equipment, home_q_rad
 from dual_ur10.errors import UnknownNameError
 from dual_ur10.sim2real.cell.cell import CellRequest
 from dual_ur10.sim2real.cell.cell_config import HostedCell
-from dual_ur10.sim2real.cell.cell_kinds import make_cell
-from dual_ur10.sim2real.cell.named_cell import resolve_cell
+from dual_ur10.sim2real.cell.named_cell import make_cell, resolve_cell
 from dual_ur10.sim2real.cell.perturbation import Perturbation
 from dual_ur10.sim2real.commissioning.operator_prompts import Confirm
 from dual_ur10.sim2real.control.clearance import Clearance

@@ -6,8 +6,6 @@ import pytest
 
 from dual_ur10 import ids
 
-pytest_plugins = ["tests.conditions"]
-
 
 @pytest.fixture
 def registries():

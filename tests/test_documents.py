@@ -32,7 +32,7 @@ from dual_ur10.policies.training import settings
 from tests import documented_facts, scripts
 from tests.cli.command import run
 from ur_core.kinematics.ur10 import ARMS
-from ur_emulator.controller.profile import POLYSCOPES, PROFILES
+from ur_emulator.profile import POLYSCOPES, PROFILES
 from ur_emulator.world.plant import PLANTS
 
 ROOT = Path(__file__).parents[1]

@@ -24,8 +24,8 @@ from ur_core.kinematics.robots import robot_model
 from ur_core.kinematics.ur10 import ARMS
 from ur_core.processes.system import LOCAL, System
 from ur_core.servoj import ServojProfile
-from ur_emulator.controller.profile import profile_of, profile_of_version
 from ur_emulator.emulator import Emulator, EmulatorOptions, serve_json
+from ur_emulator.profile import profile_of, profile_of_version
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

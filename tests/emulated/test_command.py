@@ -8,7 +8,7 @@ from dual_ur10.emulated.of_file import of_cell
 from tests.emulated.ticking import Cell
 from tests.ur_emulator.test_command import invoke
 from ur_core.errors import SettingsError
-from ur_emulator.ports.addresses import free_address
+from ur_emulator.addresses import free_address
 
 
 @pytest.fixture

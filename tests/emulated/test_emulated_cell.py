@@ -25,7 +25,7 @@ from tests.ur_emulator.served import served
 from ur_core.errors import AddressError, ClosedError, EmulatorError, SettingsError, UnknownNameError
 from ur_core.tools.generic_140 import GENERIC_140
 from ur_emulator import emulated_controller
-from ur_emulator.ports.addresses import free_address, is_free
+from ur_emulator.addresses import free_address, is_free
 
 ROOT = Path(__file__).parents[2]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "200"}

@@ -17,7 +17,7 @@ from ur_core.kinematics.robots import ROBOTS
 from ur_core.kinematics.ur10 import nominal_dh
 from ur_core.links.primary_link import PrimaryFacts
 from ur_core.protocol.primary_packet import kinematics_checksums
-from ur_emulator.controller.profile import PROFILES, profile_for
+from ur_emulator.profile import PROFILES, profile_for
 
 
 def facts_of(robot: str) -> PrimaryFacts:

@@ -26,7 +26,7 @@ from tests.ur_emulator.rtde_bytes import VERSION_2, data, inputs, message, outpu
 from ur_core.kinematics.ur10 import NOMINAL_DH
 from ur_core.protocol.primary_messages import version_message
 from ur_core.protocol.primary_packet import PrimaryPacket
-from ur_emulator.ports.rtde_variables import zero_values
+from ur_emulator.controller.rtde_variables import zero_values
 
 _SAMPLE: Final = "d6diI"
 _STREAM: Final = [

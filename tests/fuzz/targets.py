@@ -54,16 +54,16 @@ from ur_core.protocol.text_lines import LineReader
 from ur_emulator.builtins.table import builtins_of
 from ur_emulator.controller.controller import ArmReading, Controller
 from ur_emulator.controller.pendant import Pendant
-from ur_emulator.controller.profile import PROFILES
 from ur_emulator.controller.registers import Registers
+from ur_emulator.controller.rtde_variables import zero_values
 from ur_emulator.injection.fault_injection import FaultInjection
-from ur_emulator.injection.link_faults import LinkFaults
 from ur_emulator.ports.arm_server import ArmServer, DashboardPeer, LinePeer
 from ur_emulator.ports.dashboard import Dashboard
+from ur_emulator.ports.link_faults import LinkFaults
 from ur_emulator.ports.realtime_packet import RealtimePacket
 from ur_emulator.ports.robotiq import RobotiqGripper
 from ur_emulator.ports.rtde_session import RtdePort
-from ur_emulator.ports.rtde_variables import zero_values
+from ur_emulator.profile import PROFILES
 from ur_emulator.script import Machine, Splitter, library
 from ur_emulator.script.compiled import _read
 from ur_emulator.script.machine import _FAULTS

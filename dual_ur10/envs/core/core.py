@@ -32,7 +32,7 @@ from dual_ur10.errors import (
 )
 from dual_ur10.sim2real.cell.cell import Cell, CellState, CellStep
 from dual_ur10.sim2real.cell.cell_config import CellConfig
-from dual_ur10.sim2real.cell.cell_kinds import make_cell
+from dual_ur10.sim2real.cell.named_cell import make_cell
 from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate, Verdict

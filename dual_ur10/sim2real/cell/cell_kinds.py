@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.ids import discover
-from ur_core.objects import load_object
-
-if TYPE_CHECKING:
-    from dual_ur10.sim2real.cell.cell import Cell, CellRequest
 
 _FORM: Final = re.compile(r"[^\W\d][\w.]*:[^\W\d]\w*")
 
@@ -83,16 +79,3 @@ def cell_kind(name: str) -> CellKind:
     if name not in CELL_KINDS:
         raise UnknownNameError("cell kind", str(name), list(CELL_KINDS))
     return CELL_KINDS[name]
-
-
-def make_cell(request: CellRequest) -> Cell:
-    """Make the cell of a request.
-
-    Raises:
-        SettingsError: Its kind cannot serve the request, or its factory cannot be imported.
-        DualUR10Error: It cannot be made; see its class.
-    """
-    name = request.config.kind
-    factory = load_object(cell_kind(name).factory, f"the factory of the cell {name!r}", registered=True)
-    cell: Cell = factory(request)
-    return cell

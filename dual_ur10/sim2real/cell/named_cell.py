@@ -1,4 +1,4 @@
-"""Configuration of a cell by its name. The reader of cell files loads only for the path of one."""
+"""Cells and their configurations by name. The reader of cell files loads only for the path of one."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from typing import Final
 
 from dual_ur10.errors import UnknownNameError
 from dual_ur10.ids import discover
+from dual_ur10.sim2real.cell.cell import Cell, CellRequest
 from dual_ur10.sim2real.cell.cell_config import CellConfig, HostedCell
-from dual_ur10.sim2real.cell.cell_kinds import CELL_KINDS
+from dual_ur10.sim2real.cell.cell_kinds import CELL_KINDS, cell_kind
 from ur_core.objects import load_object
 
 READER: Final = "dual_ur10.sim2real.cell_file.cell_file:load_cell_file"
@@ -40,3 +41,16 @@ def resolve_cell(cell: object) -> CellConfig:
         other = "the path of a cell file, such as lab.toml, a CellConfig, or a dual_ur10.testing.VirtualCell"
         raise UnknownNameError("cell", str(cell), without_file, other)
     return CellConfig(kind=cell)
+
+
+def make_cell(request: CellRequest) -> Cell:
+    """Make the cell of a request.
+
+    Raises:
+        SettingsError: Its kind cannot serve the request, or its factory cannot be imported.
+        DualUR10Error: It cannot be made; see its class.
+    """
+    name = request.config.kind
+    factory = load_object(cell_kind(name).factory, f"the factory of the cell {name!r}", registered=True)
+    cell: Cell = factory(request)
+    return cell

@@ -21,15 +21,15 @@ from ur_core.errors import AddressError, SettingsError, URError
 from ur_core.kinematics.robots import robot_model
 from ur_core.processes.system import LOCAL, System
 from ur_core.protocol.modes import RobotMode, SafetyMode
+from ur_emulator.addresses import checked_address, free_address
 from ur_emulator.builtins.table import builtins_of
 from ur_emulator.controller.controller import Controller
-from ur_emulator.controller.profile import profile_for
 from ur_emulator.controller.program_files import script_texts
 from ur_emulator.injection.fault_injection import FaultInjection
-from ur_emulator.ports.addresses import checked_address, free_address
 from ur_emulator.ports.arm_server import ArmServer, LinePeer
 from ur_emulator.ports.grippers import EmulatedGripper
 from ur_emulator.ports.sockets import Hub
+from ur_emulator.profile import profile_for
 from ur_emulator.world.plant import PlantOptions
 from ur_emulator.world.world import SimulatedWorld
 

@@ -39,7 +39,7 @@ from ur_core.links.rtde_stream import Sample
 from ur_core.processes.system import LOCAL
 from ur_core.protocol.primary_packet import kinematics_checksums
 from ur_core.protocol.rtde import Kind
-from ur_emulator.controller.profile import PROFILES
+from ur_emulator.profile import PROFILES
 
 TIMED = {"RTDE rate", "RTDE jitter", "round trip"}
 

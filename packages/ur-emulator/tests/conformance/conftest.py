@@ -9,8 +9,8 @@ import pytest
 from tests.conformance import wire
 from tests.conformance.wire import Bounded, Dashboard, Rtde
 from ur_core.kinematics.robots import MODEL_OF_FAMILY
-from ur_emulator.controller.profile import PROFILES
 from ur_emulator.emulated_controller import EmulatedController
+from ur_emulator.profile import PROFILES
 
 STATE = "timestamp,runtime_state,robot_mode,safety_mode,actual_q"
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from ur_emulator.controller.profile import Assumptions
+from ur_emulator.profile import Assumptions
 
 UNSEEN = {
     "emergency_stop_pauses": "somebody has to press the button",

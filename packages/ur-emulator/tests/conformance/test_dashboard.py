@@ -6,8 +6,8 @@ from unittest.mock import MagicMock
 import pytest
 
 from tests.conformance.wire import Dashboard, Rtde
-from ur_emulator.controller.profile import PROFILES
 from ur_emulator.ports import dashboard as command_server
+from ur_emulator.profile import PROFILES
 
 EVER = (5, 0), (3, 0)
 

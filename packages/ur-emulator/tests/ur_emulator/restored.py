@@ -1,6 +1,6 @@
 """Emulated cells that several tests share."""
 
-from ur_emulator.controller.profile import PROFILES
+from ur_emulator.profile import PROFILES
 
 SERIAL_NUMBERS = {"cb3": "2010300002", "e-series": "2021500002"}
 """Serial numbers of right arms: emulated controllers of a family have the same one."""

@@ -6,10 +6,10 @@ import struct
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from ur_emulator.controller.profile import profile_of
 from ur_emulator.controller.registers import Registers
+from ur_emulator.controller.rtde_variables import zero_values
 from ur_emulator.ports.rtde_session import RtdePort, RtdeSession
-from ur_emulator.ports.rtde_variables import zero_values
+from ur_emulator.profile import profile_of
 
 VERSION_2 = b"\x00\x05V\x00\x02"
 

@@ -2,8 +2,8 @@
 
 from ur_core.links.arm_status import OPTIONAL_VARIABLES, STATUS_VARIABLES, ArmStatus
 from ur_core.links.rtde_stream import Sample
-from ur_emulator.controller.profile import PROFILES
-from ur_emulator.ports.rtde_variables import zero_values
+from ur_emulator.controller.rtde_variables import zero_values
+from ur_emulator.profile import PROFILES
 
 MOVING = {"robot_mode": 7, "safety_mode": 1, "robot_status_bits": 3, "safety_status_bits": 1, "runtime_state": 2}
 

@@ -6,8 +6,8 @@ import pytest
 
 from tests.ur_emulator.pairs import Pair
 from ur_core.errors import AddressError
-from ur_emulator.ports import addresses
-from ur_emulator.ports.addresses import PORTS, checked_address, free_address, is_free
+from ur_emulator import addresses
+from ur_emulator.addresses import PORTS, checked_address, free_address, is_free
 
 ELSEWHERE = ["0.0.0.0", "192.168.0.1", "10.0.0.2", "8.8.8.8", "localhost", "::1", "", "127.0.0", "127.1", "2130706433",
              "127.0.0.1.nip.io", "127.0.0.1 ", "0127.0.0.1", "::ffff:127.0.0.1", "ur10", "127.0.0.é",

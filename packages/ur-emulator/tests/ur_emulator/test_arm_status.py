@@ -18,8 +18,8 @@ from ur_core.links.arm_status import (
 )
 from ur_core.links.rtde_link import RtdeLink
 from ur_core.links.rtde_stream import Sample
-from ur_emulator.controller.profile import PROFILES
-from ur_emulator.ports.rtde_variables import output_types, zero_values
+from ur_emulator.controller.rtde_variables import output_types, zero_values
+from ur_emulator.profile import PROFILES
 
 
 def test_an_arm_may_move_in_one_state():

@@ -12,9 +12,9 @@ from ur_core.kinematics.home import home_of
 from ur_core.kinematics.robots import ROBOTS
 from ur_core.links.rtde_link import RtdeLink
 from ur_core.processes.system import LOCAL
+from ur_emulator.addresses import PORTS, free_address
 from ur_emulator.cli import app, by_themselves
 from ur_emulator.emulator import run
-from ur_emulator.ports.addresses import PORTS, free_address
 from ur_emulator.virtual.virtual_system import VirtualProcess, VirtualSystem, World
 
 

@@ -10,8 +10,8 @@ from tests.ur_emulator.ticking import Bench
 from ur_core.errors import OperationRefusedError, UnknownNameError
 from ur_core.protocol.modes import RobotMode, RuntimeState, SafetyMode
 from ur_emulator.controller.pendant import Pendant
-from ur_emulator.controller.profile import PROFILES, ControllerProfile
 from ur_emulator.ports.dashboard import GREETING, LOCAL_MODE, Dashboard
+from ur_emulator.profile import PROFILES, ControllerProfile
 
 CB3, E_SERIES = PROFILES["cb3"], PROFILES["e-series"]
 REFUSABLE = (

@@ -15,9 +15,9 @@ from tests.ur_emulator.external_control import PORTS, Driver, Mode, Point, Resul
 from tests.ur_emulator.ticking import PLAYS, Bench
 from tests.waiting import until
 from ur_core.processes.system import LOCAL
-from ur_emulator.controller.profile import profile_of
+from ur_emulator.addresses import free_address
 from ur_emulator.emulated_controller import EmulatedController
-from ur_emulator.ports.addresses import free_address
+from ur_emulator.profile import profile_of
 from ur_emulator.virtual.virtual_system import VirtualProcess, VirtualSystem, World
 
 TEMPLATE = (Path(__file__).parent / "external_control.urscript").read_text()

@@ -21,7 +21,7 @@ from tests.waiting import until
 from ur_core.kinematics import flange_pose
 from ur_core.kinematics.ur10 import ARMS, DHParameters
 from ur_core.protocol.modes import RobotMode
-from ur_emulator.injection.link_faults import LinkFaults
+from ur_emulator.ports.link_faults import LinkFaults
 from ur_emulator.script import parse
 
 DOCS = Path(__file__).parents[4] / "docs" / "reference" / "emulator.md"

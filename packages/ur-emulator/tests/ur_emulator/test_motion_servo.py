@@ -11,7 +11,7 @@ from tests.soak import scaled
 from tests.ur_emulator.motion_runs import DT, Q0, SUBSTEPS, TICK_S, at_rest, motion, run, until_fault
 from ur_core.kinematics.ur10 import JOINT_SPEED_RAD_S
 from ur_core.servoj import ServojLaw
-from ur_emulator.controller.profile import Assumptions
+from ur_emulator.profile import Assumptions
 
 
 def _targets(seed: int, ticks: int) -> np.ndarray:

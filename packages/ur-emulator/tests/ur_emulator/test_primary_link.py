@@ -17,8 +17,8 @@ from ur_core.kinematics.ur10 import DH_A_M, DH_ALPHA_RAD, DH_D_M, DHParameters, 
 from ur_core.links.primary_link import _Reader, read_primary
 from ur_core.protocol.primary_messages import text_message, version_message
 from ur_core.protocol.primary_packet import PrimaryPacket, kinematics_checksums
-from ur_emulator.controller.profile import PROFILES
-from ur_emulator.ports.rtde_variables import zero_values
+from ur_emulator.controller.rtde_variables import zero_values
+from ur_emulator.profile import PROFILES
 
 HERE = "127.0.0.1"
 PROFILE = PROFILES["cb3"]

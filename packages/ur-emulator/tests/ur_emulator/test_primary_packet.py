@@ -9,7 +9,7 @@ from ur_core.kinematics.ur10 import DH_A_M, NOMINAL_DH
 from ur_core.protocol import primary_messages as messages
 from ur_core.protocol.modes import RobotMode, RuntimeState, SafetyBits, SafetyMode
 from ur_core.protocol.primary_packet import NAMES, PrimaryPacket, kinematics_checksums
-from ur_emulator.controller.profile import PROFILES
+from ur_emulator.profile import PROFILES
 
 CB3, E_SERIES = PROFILES["cb3"], PROFILES["e-series"]
 

@@ -3,8 +3,8 @@ import struct
 
 import pytest
 
-from ur_emulator.controller.profile import PROFILES
 from ur_emulator.ports.realtime_packet import FIELDS, LENGTHS, RealtimePacket, packet_length
+from ur_emulator.profile import PROFILES
 
 
 def numbered() -> dict[str, float | tuple[float, ...]]:

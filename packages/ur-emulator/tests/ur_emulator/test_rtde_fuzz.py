@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tests.soak import scaled
 from tests.ur_emulator.rtde_bytes import RECEIVED, SERVOJ, VERSION_2, RtdeBench, data, inputs, message, outputs
 from ur_core.errors import ProtocolError
-from ur_emulator.ports.rtde_variables import output_types
+from ur_emulator.controller.rtde_variables import output_types
 
 PACKETS = 1_000_000
 

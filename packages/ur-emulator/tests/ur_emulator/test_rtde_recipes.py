@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 
 from ur_core.errors import SettingsError
 from ur_core.protocol.rtde import TYPES
-from ur_emulator.controller.profile import profile_of
 from ur_emulator.controller.registers import Registers
+from ur_emulator.controller.rtde_variables import input_types, output_types, zero_values
 from ur_emulator.ports.rtde_recipes import InputRecipe, OutputRecipe
-from ur_emulator.ports.rtde_variables import input_types, output_types, zero_values
+from ur_emulator.profile import profile_of
 
 PROFILE = profile_of("e-series")
 OUTPUTS = output_types(PROFILE)

@@ -7,10 +7,10 @@ import pytest
 from tests.ur_emulator.rtde_bytes import RECEIVED, SERVOJ, VERSION_2, RtdeBench, data, inputs, message, outputs
 from ur_core.errors import ClosedError, ProtocolError, SettingsError
 from ur_core.protocol.rtde import TextKind
-from ur_emulator.controller.profile import profile_of
 from ur_emulator.controller.registers import Registers
+from ur_emulator.controller.rtde_variables import zero_values
 from ur_emulator.ports.rtde_session import RtdePort
-from ur_emulator.ports.rtde_variables import zero_values
+from ur_emulator.profile import profile_of
 
 START = b"\x00\x03S"
 PAUSE = b"\x00\x03P"

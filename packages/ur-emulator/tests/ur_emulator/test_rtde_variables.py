@@ -2,8 +2,8 @@ from dataclasses import replace
 
 import pytest
 
-from ur_emulator.controller.profile import PROFILES
-from ur_emulator.ports.rtde_variables import input_types, output_types, zero_values
+from ur_emulator.controller.rtde_variables import input_types, output_types, zero_values
+from ur_emulator.profile import PROFILES
 
 CB3, E_SERIES = PROFILES["cb3"], PROFILES["e-series"]
 

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from tests.soak import scaled
 from ur_core.errors import OperationRefusedError
 from ur_core.protocol.modes import RobotMode, SafetyBits, SafetyMode
-from ur_emulator.controller.profile import Assumptions
 from ur_emulator.controller.safety import UNLOCK_TOO_EARLY, Demand, Safety
+from ur_emulator.profile import Assumptions
 
 TICK_S = 0.008
 

@@ -11,7 +11,7 @@ from ur_core.errors import ScriptSyntaxError
 from ur_core.kinematics.ur10 import NOMINAL_DH
 from ur_emulator.builtins.table import builtins_of
 from ur_emulator.controller.controller import Controller
-from ur_emulator.controller.profile import POLYSCOPES
+from ur_emulator.profile import POLYSCOPES
 from ur_emulator.script import parse
 from ur_emulator.script.manual import MANUAL, NAMES
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.ur_emulator.ticking import PLAYS, Bench, program
-from ur_emulator.ports.script_sockets import SOCKETS_MAX
+from ur_emulator.controller.script_sockets import SOCKETS_MAX
 from ur_emulator.virtual.virtual_system import VirtualProcess, VirtualSystem, World
 
 HOST, PORT = "127.0.0.9", 50001

@@ -9,8 +9,8 @@ import pytest
 from tests.ur_emulator import rtde_bytes
 from ur_core.errors import AddressError, ProtocolError
 from ur_core.protocol.rtde import FrameReader, Kind
-from ur_emulator.injection.link_faults import LinkFaults
-from ur_emulator.ports.addresses import check_loopback, listening
+from ur_emulator.addresses import check_loopback, listening
+from ur_emulator.ports.link_faults import LinkFaults
 from ur_emulator.ports.sockets import MAX_CONNECTIONS, Hub
 
 HOST = "127.0.0.1"

@@ -17,11 +17,11 @@ from ur_core.protocol.primary_packet import PrimaryPacket
 from ur_emulator.builtins.table import builtins_of
 from ur_emulator.controller.controller import ArmReading, Controller
 from ur_emulator.controller.pendant import Pendant
-from ur_emulator.controller.profile import profile_of
 from ur_emulator.controller.safety import Demand
 from ur_emulator.emulator import ControllerOptions, Emulator
 from ur_emulator.ports.dashboard import Dashboard
 from ur_emulator.ports.realtime_packet import RealtimePacket
+from ur_emulator.profile import profile_of
 
 HOME = [0.0, -1.57, 1.57, -1.57, -1.57, 0.0]
 SUBSTEPS = 4

@@ -13,7 +13,7 @@ from collections.abc import Callable, Generator
 from typing import Any, Final, TypeVar
 
 from ur_emulator.controller.controller import Controller
-from ur_emulator.ports.script_sockets import CONNECT_S, ScriptSockets, discard
+from ur_emulator.controller.script_sockets import CONNECT_S, ScriptSockets, discard
 from ur_emulator.script import Builtins, text
 from ur_emulator.script.values import TEXT_MAX, integer, number
 

@@ -19,15 +19,15 @@ from ur_core.protocol import primary_messages as messages
 from ur_core.protocol.modes import JointMode, RobotBits, RobotMode, RuntimeState, SafetyMode
 from ur_core.types import Array
 from ur_emulator.controller.inputs_outputs import InputsOutputs
-from ur_emulator.controller.profile import ControllerProfile
 from ur_emulator.controller.program_runner import ProgramRunner
 from ur_emulator.controller.received import Received
 from ur_emulator.controller.registers import Registers, Watchdog
+from ur_emulator.controller.rtde_variables import zero_values
 from ur_emulator.controller.safety import Demand, Safety
+from ur_emulator.controller.script_sockets import ScriptSockets
 from ur_emulator.motion import JointTorques, MotionGenerator
 from ur_emulator.motion.tool_kinematics import Tcp
-from ur_emulator.ports.rtde_variables import zero_values
-from ur_emulator.ports.script_sockets import ScriptSockets
+from ur_emulator.profile import ControllerProfile
 from ur_emulator.script import Builtins, Program
 
 log = logging.getLogger(__name__)

@@ -8,9 +8,9 @@ from collections.abc import Callable
 from ur_core.errors import OperationRefusedError, ScriptError, ScriptRuntimeError
 from ur_core.protocol.modes import RuntimeState
 from ur_core.protocol.primary_messages import PROGRAM_STARTED, PROGRAM_STOPPED
-from ur_emulator.controller.profile import ControllerProfile
 from ur_emulator.controller.safety import Demand
 from ur_emulator.motion import MotionGenerator
+from ur_emulator.profile import ControllerProfile
 from ur_emulator.script import Builtins, Machine, Program, read
 
 log = logging.getLogger(__name__)

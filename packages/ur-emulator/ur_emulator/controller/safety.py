@@ -10,7 +10,7 @@ from typing import Final
 
 from ur_core.errors import OperationRefusedError
 from ur_core.protocol.modes import RobotMode, SafetyBits, SafetyMode
-from ur_emulator.controller.profile import Assumptions
+from ur_emulator.profile import Assumptions
 
 UNLOCK_TOO_EARLY: Final = (
     "Cannot unlock protective stop until 5s after occurrence. Always inspect cause of protective stop before unlocking"

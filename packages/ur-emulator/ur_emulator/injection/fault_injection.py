@@ -24,8 +24,8 @@ from pydantic import BaseModel, ConfigDict, Field, InstanceOf, ValidationError, 
 
 from ur_core.errors import SettingsError, UnknownNameError, URError
 from ur_core.kinematics.rotations import quat_from_rotvec, quat_multiply
-from ur_emulator.injection.link_faults import MAX_LATE_S, LinkFaults
 from ur_emulator.ports.arm_server import ArmServer, RtdePeer
+from ur_emulator.ports.link_faults import MAX_LATE_S, LinkFaults
 from ur_emulator.world.world import SimulatedWorld
 
 _MAX_DELAY_S: Final = 2.0

@@ -5,8 +5,8 @@ course is known is a *trajectory*: positions as a function of its time. Blends, 
 moves, are sums of two trajectories, so that speeds have no jumps.
 """
 
-from ur_emulator.motion.joint_torque import JointTorques
 from ur_emulator.motion.motion import MotionGenerator
 from ur_emulator.motion.reference import Handle, MotionFault
+from ur_emulator.motion.trajectories import JointTorques
 
 __all__ = ["Handle", "JointTorques", "MotionFault", "MotionGenerator"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,20 +11,7 @@ from ur_core.errors import MotionError
 from ur_core.kinematics.robots import robot_model
 from ur_core.types import Array
 from ur_emulator.motion.arguments import six
-from ur_emulator.motion.trajectories import Trajectory
-
-
-@dataclass(frozen=True)
-class JointTorques:
-    """Torques of one control period.
-
-    Attributes:
-        torque_nm: (6,) torques on top of those that carry the arm itself.
-        coulomb_scale: (6,) fraction of each joint's Coulomb friction that the controller compensates.
-    """
-
-    torque_nm: Array
-    coulomb_scale: Array
+from ur_emulator.motion.trajectories import JointTorques, Trajectory
 
 
 def checked_torques(

@@ -12,13 +12,12 @@ from ur_core.errors import MotionError, UnreachableError
 from ur_core.kinematics.robots import robot_model
 from ur_core.kinematics.ur10 import JOINT_RANGE_RAD, DHParameters
 from ur_core.types import Array, constant
-from ur_emulator.controller.profile import Assumptions
 from ur_emulator.motion.cartesian import PoseBlend
 from ur_emulator.motion.compliance import SPEED_CAP, TIME_CONSTANT_S, Compliance
-from ur_emulator.motion.joint_torque import JointTorques
 from ur_emulator.motion.servo import Servo
 from ur_emulator.motion.tool_kinematics import ArmKinematics, Tcp
-from ur_emulator.motion.trajectories import JointBrake, Superposed, Trajectory
+from ur_emulator.motion.trajectories import JointBrake, JointTorques, Superposed, Trajectory
+from ur_emulator.profile import Assumptions
 
 # Codes and meanings: the error codes of UR's service manual.
 JOINT_LIMIT: Final = "C150A0"  # position close to joint limits

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Final
+from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from ur_core.types import Array
-
-if TYPE_CHECKING:
-    from ur_emulator.motion.joint_torque import JointTorques
 
 ACCELERATION_LIMIT_RAD_S2: Final = 40.0
 """Greatest acceleration of programs: the limit of ur_rtde's argument checks and of UR's manual."""
@@ -28,6 +26,19 @@ _SLOWEST_RATE: Final = 1e-100
 
 _RAMP_FRACTION: Final = 1 / 3
 """Fraction of each ramp in a move of given duration; UR publishes no figure."""
+
+
+@dataclass(frozen=True)
+class JointTorques:
+    """Torques of one control period.
+
+    Attributes:
+        torque_nm: (6,) torques on top of those that carry the arm itself.
+        coulomb_scale: (6,) fraction of each joint's Coulomb friction that the controller compensates.
+    """
+
+    torque_nm: Array
+    coulomb_scale: Array
 
 
 class Trapezoid:

@@ -14,17 +14,17 @@ from ur_core.kinematics.ur10 import DHParameters
 from ur_core.protocol.primary_messages import version_message
 from ur_core.protocol.primary_packet import RATE_HZ, PrimaryPacket
 from ur_core.protocol.text_lines import LineReader, refuse_http
+from ur_emulator.addresses import PORTS
 from ur_emulator.controller.controller import Controller
 from ur_emulator.controller.pendant import Pendant
-from ur_emulator.controller.profile import ControllerProfile
 from ur_emulator.controller.program_reader import ProgramReader
-from ur_emulator.ports.addresses import PORTS
 from ur_emulator.ports.dashboard import GREETING, Dashboard
 from ur_emulator.ports.grippers import EmulatedGripper
 from ur_emulator.ports.realtime_packet import RealtimePacket
 from ur_emulator.ports.rtde_recipes import OutputRecipe
 from ur_emulator.ports.rtde_session import RtdePort, RtdeSession
 from ur_emulator.ports.sockets import Hub, Port
+from ur_emulator.profile import ControllerProfile
 from ur_emulator.script import Program, Splitter
 
 log = logging.getLogger(__name__)

@@ -14,7 +14,7 @@ from typing import Final
 from ur_core.errors import OperationRefusedError, UnknownNameError
 from ur_core.protocol.modes import RobotMode, RuntimeState, SafetyMode
 from ur_emulator.controller.pendant import Pendant
-from ur_emulator.controller.profile import ControllerProfile
+from ur_emulator.profile import ControllerProfile
 
 log = logging.getLogger(__name__)
 

@@ -10,7 +10,7 @@ import struct
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
-from ur_emulator.controller.profile import ControllerProfile
+from ur_emulator.profile import ControllerProfile
 
 
 class RealtimeField(NamedTuple):

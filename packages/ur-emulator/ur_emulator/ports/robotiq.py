@@ -14,7 +14,7 @@ from typing import Final
 
 from ur_core.tools.robotiq_2f85 import ROBOTIQ_2F85
 from ur_core.tools.tool import Tool
-from ur_emulator.ports.addresses import PORTS
+from ur_emulator.addresses import PORTS
 
 ACTIVATION_S: Final = 1.0
 """Shortest activation. Assumption: the real gripper opens and closes fully, this one only opens."""

@@ -28,10 +28,10 @@ from ur_core.protocol.rtde import (
     split_names,
     text_payload,
 )
-from ur_emulator.controller.profile import ControllerProfile
 from ur_emulator.controller.registers import Registers
+from ur_emulator.controller.rtde_variables import input_types, output_types, zero_values
 from ur_emulator.ports.rtde_recipes import OUTPUT_RECIPE, InputRecipe, OutputRecipe
-from ur_emulator.ports.rtde_variables import input_types, output_types, zero_values
+from ur_emulator.profile import ControllerProfile
 
 log = logging.getLogger(__name__)
 

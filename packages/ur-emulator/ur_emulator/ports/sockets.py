@@ -11,8 +11,8 @@ from typing import Any, Final, Protocol
 from ur_core.errors import ProtocolError
 from ur_core.processes.system import LOCAL, System
 from ur_core.processes.transport import Listener, Transport
-from ur_emulator.injection.link_faults import DelayLine, LinkFaults
-from ur_emulator.ports.addresses import listening
+from ur_emulator.addresses import listening
+from ur_emulator.ports.link_faults import DelayLine, LinkFaults
 
 log = logging.getLogger(__name__)
 

@@ -12,7 +12,7 @@ from typing import Final
 
 from ur_core.processes.system import System
 from ur_core.processes.transport import Transport
-from ur_emulator.ports.addresses import check_loopback
+from ur_emulator.addresses import check_loopback
 
 log = logging.getLogger(__name__)
 

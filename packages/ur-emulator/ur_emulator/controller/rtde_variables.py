@@ -11,8 +11,8 @@ from functools import cache
 from typing import Final
 
 from ur_core.protocol.rtde import TYPES, DataType, Value
-from ur_emulator.controller.profile import ControllerProfile
 from ur_emulator.controller.registers import Registers
+from ur_emulator.profile import ControllerProfile
 
 Version = tuple[int, ...]
 

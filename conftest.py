@@ -1,0 +1,3 @@
+"""Conditions of all tests of this repository."""
+
+pytest_plugins = ["tests.conditions"]

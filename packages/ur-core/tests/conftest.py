@@ -1,3 +1,0 @@
-"""Conditions of the tests of this distribution."""
-
-pytest_plugins = ["tests.conditions"]

@@ -5,8 +5,7 @@
     @register("MyLab/Reach-v0", scripted="ReachPolicy")
     class Reach(Task[ReachSettings, Array]): ...
 
-It holds names only; each is documented where it is defined. It imports `envs` and `policies`; nothing of the package
-imports it.
+It holds names only; each is documented where it is defined.
 """
 
 from dual_ur10.assets.prop import Camera, HeldCapsule, Prop

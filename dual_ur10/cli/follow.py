@@ -117,7 +117,7 @@ def follow(
     if file is None and (retime or duration is not None):
         raise SettingsError("--retime and --duration are for the points of a FILE: name one")
     given = {"path_tolerance_rad": path_tolerance, "goal_tolerance_rad": goal_tolerance, "goal_time_s": goal_time}
-    motion = _Motion(home_of(chosen), to, {name: each for name, each in given.items() if each is not None}, seed)
+    motion = _Goals(home_of(chosen), to, {name: each for name, each in given.items() if each is not None}, seed)
     if file is not None:
         motion.read(file, partial, retime or duration is not None, duration)
     with nullcontext() if record is None else _Table(record, motion.goal.trajectory.arms) as table:
@@ -135,7 +135,7 @@ def follow(
                 console.print("[green]the arms are there[/]")
 
 
-class _Motion:
+class _Goals:
     """Goals of one command: the points of a file, if one was read, and then a configuration, if one is named.
 
     Args:
@@ -260,7 +260,7 @@ def _reach(executor: TrajectoryExecutor, goal: TrajectoryGoal, table: _Table | N
     trajectory, moved = goal.trajectory, " and ".join(goal.trajectory.arms)
     console.print(f"{moved}: {len(trajectory)} points, {trajectory.duration_s:.2f} s", highlight=False)
     handle = executor.execute(goal)
-    shown, interrupted = _Shown(trajectory.duration_s), False
+    shown, interrupted = _FeedbackPrinter(trajectory.duration_s), False
 
     def seen(feedback: Feedback) -> None:
         shown(feedback)
@@ -283,7 +283,7 @@ def _time(path_s: float, duration_s: float) -> str:
     return f"{path_s:8.2f} of {duration_s:.2f} s"
 
 
-class _Shown:
+class _FeedbackPrinter:
     """Prints a feedback per second.
 
     Args:

@@ -145,7 +145,7 @@ class _Commands(_Group):
             return super().invoke(ctx)
 
 
-class _Shown(logging.Handler):
+class _RunPrinter(logging.Handler):
     """Prints where a run is recorded, for whichever command records it."""
 
     def emit(self, record: logging.LogRecord) -> None:
@@ -153,7 +153,7 @@ class _Shown(logging.Handler):
 
 
 _RECORDING = logging.getLogger("dual_ur10.sim2real.recording.run_folder")
-_SHOWN = _Shown()
+_SHOWN = _RunPrinter()
 
 app = typer.Typer(
     cls=_Commands,

@@ -44,7 +44,7 @@ def teach(
     if power:
         power_on(cell)
     with interrupts_noted() as interrupted:
-        terminal = _Terminal(interrupted.is_set)
+        terminal = _TypedRequests(interrupted.is_set)
         count, refused = record(load_cell_file(cell), file, ARMS if arm is None else (arm,), terminal, continuous)
     if refused:
         console.print(f"[yellow]note:[/] `follow` will refuse {refused} of the points: teach it again", highlight=False)
@@ -86,7 +86,7 @@ def record(
         return file.count, recorder.refused
 
 
-class _Terminal:
+class _TypedRequests:
     """Requests typed at the terminal, without waiting for them. The end of the input ends, as Ctrl-C does.
 
     Args:

@@ -148,7 +148,7 @@ def train(
         check_extras(*extras, devices=[operator] if operator else [])
     try:
         with progress_of(console, left=False) as bar:
-            made = run(threads=threads, on_progress=_Shown(bar, where), meet=_meet)
+            made = run(threads=threads, on_progress=_ProgressDisplay(bar, where), meet=_meet)
     except KeyboardInterrupt:
         console.print(
             f"interrupted; continue with: dual-ur10 train --resume {where}",
@@ -218,7 +218,7 @@ class _Kept:
         self._show()
 
 
-class _Shown:
+class _ProgressDisplay:
     """Shows the progress of a training: in the bar of a terminal, or in lines.
 
     Args:

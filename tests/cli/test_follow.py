@@ -71,7 +71,7 @@ def test_an_interrupt_stops_both_arms_on_the_path(file, monkeypatch):
         if len(shown) == 30:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(follow._Shown, "__call__", interrupt)
+    monkeypatch.setattr(follow._FeedbackPrinter, "__call__", interrupt)
     code, text = run("follow", file)
     assert code == 130
     assert "interrupted: both arms stop on the path" in text

@@ -45,7 +45,7 @@ def test_lines_are_requests_and_the_end_ends(monkeypatch):
     theirs, ours = os.pipe()
     monkeypatch.setattr(teach.sys, "stdin", SimpleNamespace(fileno=lambda: theirs))
     interrupted = []
-    keys = teach._Terminal(lambda: bool(interrupted))
+    keys = teach._TypedRequests(lambda: bool(interrupted))
     assert keys() is None
     os.write(ours, b"\n\n  Q \n")
     assert [keys() for _ in range(4)] == [TeachKey.RECORD, TeachKey.RECORD, TeachKey.END, None]

@@ -121,7 +121,7 @@ def check_policy(
     policy = as_policy(policy)
     env = gym.make(name, disable_env_checker=True, **_simulated(cell, env_kwargs))
     try:
-        episode = _Episode(policy, env)
+        episode = _CheckedEpisode(policy, env)
         episode.run(seed, most)
         _check_again(policy, episode)
         batched = _check_batch(policy, env, episode, seed)
@@ -148,7 +148,7 @@ def check_policy(
     if cell is not None:
         env = gym.make(name, disable_env_checker=True, **{**env_kwargs, "cell": cell})
         try:
-            there = _Episode(policy, env)
+            there = _CheckedEpisode(policy, env)
             there.run(seed, most)
             late = env.unwrapped.core.late_actions  # type: ignore[attr-defined]  # Gymnasium knows only Env
         finally:
@@ -199,7 +199,7 @@ def _budget_s(env: Any) -> float:
     return (LATENCY_S if latency_s <= taken_s else latency_s) - taken_s
 
 
-class _Episode:
+class _CheckedEpisode:
     """One episode, in which every action is checked.
 
     Args:
@@ -263,7 +263,7 @@ class _Episode:
         return action
 
 
-def _check_again(policy: Policy, episode: _Episode) -> None:
+def _check_again(policy: Policy, episode: _CheckedEpisode) -> None:
     _reset(policy)
     for step, (observation, before) in enumerate(zip(episode.observations, episode.actions, strict=True)):
         if step == _AGAIN:
@@ -279,7 +279,7 @@ def _check_again(policy: Policy, episode: _Episode) -> None:
             )
 
 
-def _check_batch(policy: Policy, env: Any, episode: _Episode, seed: int) -> bool:
+def _check_batch(policy: Policy, env: Any, episode: _CheckedEpisode, seed: int) -> bool:
     """Return True if the policy takes batches, after a check that each row gives the same action as alone."""
     first = [episode.observations[0], env.reset(seed=seed + 1)[0]]
     alone = []

@@ -21,7 +21,7 @@ _ROUNDING: Final = 1e-9
 
 
 @dataclass(frozen=True)
-class _Stretch:
+class _TargetStretch:
     """Targets without a stop between them.
 
     Attributes:
@@ -46,7 +46,7 @@ class TickMap:
         stopped_until: Number up to which both arms stand, because the first action missed its deadline.
     """
 
-    stretches: tuple[_Stretch, ...]
+    stretches: tuple[_TargetStretch, ...]
     first: float
     end: float
     stopped_until: float = -np.inf
@@ -80,14 +80,14 @@ def tick_map(run: Run, number: int) -> TickMap:
     episode, latency_ticks = run.episodes[number], run.header.latency_ticks
     steps, ticks = episode.targets_rad.shape[:2]
     firsts = episode.first_target
-    stretches: list[_Stretch] = []
+    stretches: list[_TargetStretch] = []
     for step in np.flatnonzero(firsts >= 0).tolist():
         begin = float(firsts[step])
         offset = begin - step * ticks - latency_ticks
         if stretches and stretches[-1].offset == offset:
-            stretches[-1] = _Stretch(stretches[-1].begin, begin + ticks, offset)
+            stretches[-1] = _TargetStretch(stretches[-1].begin, begin + ticks, offset)
         else:
-            stretches.append(_Stretch(begin, begin + ticks, offset))
+            stretches.append(_TargetStretch(begin, begin + ticks, offset))
     if not stretches:
         raise RecordingError(
             f"0 targets of an action were sent in episode {number}: it has no step, or every action missed its "

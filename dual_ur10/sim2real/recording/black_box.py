@@ -21,7 +21,7 @@ _LEAST_FREE: Final = 32 * 2**20
 
 
 @dataclass(frozen=True)
-class _Kept:
+class _KeptEntry:
     """An entry that can be written later.
 
     Attributes:
@@ -50,22 +50,22 @@ class BlackBox:
         self.folder = folder
         self._header = replace(header, extra={**header.extra, "black_box": True})
         self._columns = columns
-        self._kept: deque[_Kept] = deque()
+        self._kept: deque[_KeptEntry] = deque()
         self._begin: bytes = b""  # of the episode whose first steps were dropped
 
     def states(self, arm: int, rows: Array) -> None:
         """Keep the arguments of `RunWriter.states`."""
         if len(rows):
-            self._kept.append(_Kept(float(rows[-1, 0]), lambda writer: writer.states(arm, rows)))
+            self._kept.append(_KeptEntry(float(rows[-1, 0]), lambda writer: writer.states(arm, rows)))
 
     def sent(self, arm: int, rows: Array) -> None:
         """Keep the arguments of `RunWriter.sent`."""
         if len(rows):
-            self._kept.append(_Kept(float(rows[-1, 2]), lambda writer: writer.sent(arm, rows)))
+            self._kept.append(_KeptEntry(float(rows[-1, 2]), lambda writer: writer.sent(arm, rows)))
 
     def single(self, topic: str, time_s: float, data: bytes) -> None:
         """Keep the arguments of `RunWriter.single`."""
-        self._kept.append(_Kept(time_s, lambda writer: writer.single(topic, time_s, data), topic, data))
+        self._kept.append(_KeptEntry(time_s, lambda writer: writer.single(topic, time_s, data), topic, data))
 
     def forget(self, now_s: float) -> None:
         """Drop entries older than `KEPT_S`."""

@@ -5,6 +5,5 @@
                    │                └── supervisor ── own RTDE links, dashboard ──▶ both
                    └──────────── shared memory: targets, states, stops, latch ─────────────┘
 
-The only package that loads `ur_rtde`. Imports the lower layers of `sim2real`, never `ur_emulator`. Environments load it
-only for a cell of controllers.
+Nothing else of the suite loads `ur_rtde`. No task and no policy is here, and the arm processes wait for neither.
 """

@@ -210,7 +210,7 @@ def execute(
         return _rejected(error)
     with line:
         try:
-            motion = _Motion(line, trajectory, port, at_start, system)
+            motion = _LoadedMotion(line, trajectory, port, at_start, system)
         except (LinkError, OperationRefusedError, SettingsError, TrajectoryError) as error:
             return _rejected(error)
         return motion.run(canceled or (lambda: False), feedback or (lambda time_s, q_rad: None))
@@ -298,7 +298,7 @@ def _extremes(trajectory: JointTrajectory) -> tuple[Array, Array]:
     return np.abs(control).max(axis=0), np.abs(np.stack([u, between, v])).max(axis=0)
 
 
-class _Motion:
+class _LoadedMotion:
     """Motion of one trajectory: checked and loaded when it is made."""
 
     def __init__(

@@ -1,1 +1,1 @@
-"""Free: a scene without a task."""
+"""Free: a scene without a task, without reward and success. What happens in it belongs to its user."""

@@ -1,4 +1,7 @@
-"""URScript interpreter: parse, check and run programs of UR controllers, one control period at a time."""
+"""URScript interpreter: parse, check and run programs of UR controllers, one control period at a time.
+
+It knows of no arm: the functions that move or read one come from outside.
+"""
 
 from ur_emulator.script.compiled import Program, parse, read
 from ur_emulator.script.library import library

@@ -32,7 +32,7 @@ _LABEL: Final = re.compile(r"^[ \t]*\$[^\n]*", re.MULTILINE)
 _PREFIXES: Final = 50
 
 
-class _Tree(Transformer[Token, Any]):
+class _NodeBuilder(Transformer[Token, Any]):
     """Transformer that makes nodes while the parser runs, so that no other tree is built."""
 
     def number(self, items: list[Any]) -> syntax.Number:
@@ -195,7 +195,7 @@ _LARK: Final = Lark(
     (files(__package__) / "grammar.lark").read_text(encoding="utf-8"),
     parser="lalr",
     lexer="basic",
-    transformer=_Tree(),
+    transformer=_NodeBuilder(),
     maybe_placeholders=True,
 )
 

@@ -132,10 +132,9 @@ def followers(monkeypatch):
 
 
 def test_slow_links_reach_the_accuracy_of_125_hz(followers):
-    found = followers.run(followers.virtual, "nominal", {"125hz": 125.0, "5hz": 5.0}, ("dual",))
-    fast = found["125hz"]["flange_max_mm"]
-    assert fast < 0.05
-    assert found["5hz"]["flange_max_mm"] - fast < 0.1
+    """Which is at best 0: `test_follower` compares it with the path."""
+    found = followers.run(followers.virtual, "nominal", {"5hz": 5.0}, ("dual",))
+    assert found["5hz"]["flange_max_mm"] < 0.1
     assert max(each["skew_p99_ms"] for each in found["paths"]["dual"].values()) < 0.1
 
 

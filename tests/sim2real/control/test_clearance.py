@@ -46,14 +46,6 @@ def test_distances_are_never_longer_than_they_are(clearance: Clearance) -> None:
                 assert found[row, pair] == pytest.approx(expected, abs=0.012)
 
 
-def test_a_row_does_not_depend_on_the_others(clearance: Clearance) -> None:
-    alone = Clearance(SceneSettings())
-    configurations = np.random.default_rng(1).uniform(-3, 3, (4, 12))
-    together = clearance.measure(configurations).distances_m.copy()
-    for row in range(4):
-        np.testing.assert_array_equal(alone.measure(configurations[row : row + 1]).distances_m[0], together[row])
-
-
 def test_home_is_clear_and_table_and_other_arm_are_not(clearance: Clearance) -> None:
     assert clearance.is_clear(np.stack([HOME, ON_TABLE, CROSSED, HOME])).tolist() == [True, False, False, True]
 

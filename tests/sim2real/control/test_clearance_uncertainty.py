@@ -186,10 +186,12 @@ def test_pickling_keeps_what_is_allowed() -> None:
 def test_a_row_does_not_depend_on_the_others() -> None:
     alone, together = Clearance(FURNISHED, uncertainty=UNCERTAIN), Clearance(FURNISHED, uncertainty=UNCERTAIN)
     q = random_q(np.random.default_rng(3), 3).reshape(3, 12)
-    found = together.measure(q).allowed_m
+    found = together.measure(q)
+    allowed, distances = found.allowed_m.copy(), found.distances_m.copy()
     for row in range(3):
-        np.testing.assert_array_equal(alone.measure(q[[row]]).allowed_m[0], found[row])
-    assert len(np.unique(found, axis=0)) == 3  # a rotation moves distant arms further
+        np.testing.assert_array_equal(alone.measure(q[[row]]).allowed_m[0], allowed[row])
+        np.testing.assert_array_equal(alone.measure(q[[row]]).distances_m[0], distances[row])
+    assert len(np.unique(allowed, axis=0)) == 3  # a rotation moves distant arms further
 
 
 @pytest.mark.parametrize(

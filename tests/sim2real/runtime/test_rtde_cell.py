@@ -7,12 +7,13 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-import dual_ur10
+import dual_ur10  # noqa: F401  # registers the environments
 from dual_ur10.envs.api.parallel_env import parallel_env
 from dual_ur10.errors import (
     ActionError,
     CellBusyError,
     CellFaulted,
+    CellFileError,
     ClosedError,
     LinkError,
     ResetNeededError,
@@ -188,43 +189,43 @@ def test_the_two_agent_view_runs_on_a_cell(bench):
         env.close()
 
 
-@pytest.mark.parametrize(
-    ("keywords", "words"),
-    [
-        ({"num_envs": 2}, "one pair of arms"),
-        ({"num_envs": 1}, "begin by themselves"),
-        ({"num_envs": 1, "autoreset_mode": "Disabled", "randomization": "mild"}, "randomization"),
-    ],
-)
-def test_training_is_refused(bench, keywords, words):
-    with pytest.raises(SettingsError, match=words):
-        gym.make_vec(HANDOVER, vectorization_mode="vector_entry_point", cell=bench.cell, **keywords)
+def trained(bench, **keywords):
+    return gym.make_vec(HANDOVER, vectorization_mode="vector_entry_point", cell=bench.cell, **keywords)
+
+
+def with_entries(bench, **entries):
+    bench.set_file(**entries)
+    return bench.make()
 
 
 @pytest.mark.parametrize(
-    ("keywords", "error", "words"),
+    ("make", "error", "words"),
     [
-        ({"action_latency_ticks": 3}, SettingsError, "5 to 125"),
-        ({"confirm": "yes"}, SettingsError, "function"),
-        ({"arm": "middle"}, UnknownNameError, "middle"),
-        ({"record": 3}, SettingsError, "folder"),
-        ({"record_failure": "panic"}, UnknownNameError, "panic"),
+        (lambda bench: trained(bench, num_envs=2), SettingsError, "one pair of arms"),
+        (lambda bench: trained(bench, num_envs=1), SettingsError, "begin by themselves"),
+        (
+            lambda bench: trained(bench, num_envs=1, autoreset_mode="Disabled", randomization="mild"),
+            SettingsError,
+            "randomization",
+        ),
+        (lambda bench: bench.make(action_latency_ticks=3), SettingsError, "5 to 125"),
+        (lambda bench: bench.make(confirm="yes"), SettingsError, "function"),
+        (lambda bench: bench.make(arm="middle"), UnknownNameError, "middle"),
+        (lambda bench: bench.make(record=3), SettingsError, "folder"),
+        (lambda bench: bench.make(record_failure="panic"), UnknownNameError, "panic"),
+        (lambda bench: gym.make("DualUR10/SyncCarry-v0", cell=bench.cell, grasp="rigid"), SettingsError, "friction"),
+        (lambda bench: with_entries(bench, gripper={"kind": "none"}), SettingsError, r"left\.gripper"),
+        (
+            lambda bench: with_entries(bench, limits={"acceleration_rad_s2": 0.1, "jerk_rad_s3": 1.0}),
+            SettingsError,
+            "need a brake of",
+        ),
+        (lambda bench: gym.make(SINE, cell="nowhere.toml"), CellFileError, r"nowhere\.toml"),
     ],
 )
-def test_keywords_that_cannot_be_are_refused_by_name(bench, keywords, error, words):
+def test_what_a_cell_cannot_be_is_refused_by_name(bench, make, error, words):
     with pytest.raises(error, match=words):
-        bench.make(**keywords)
-
-
-def test_a_welded_grasp_exists_in_simulation_only(bench):
-    with pytest.raises(SettingsError, match="friction"):
-        gym.make("DualUR10/SyncCarry-v0", cell=bench.cell, grasp="rigid")
-
-
-def test_a_task_with_objects_needs_grippers(bench):
-    bench.set_file(gripper={"kind": "none"})
-    with pytest.raises(SettingsError, match=r"left\.gripper"):
-        bench.make()
+        make(bench)
 
 
 def test_it_can_be_neither_copied_nor_used_when_closed(bench):
@@ -236,11 +237,6 @@ def test_it_can_be_neither_copied_nor_used_when_closed(bench):
     with pytest.raises(ClosedError):
         cell.advance(None)
     cell.close()
-
-
-def test_no_such_file_is_an_error_that_names_it():
-    with pytest.raises(dual_ur10.errors.CellFileError, match=r"nowhere\.toml"):
-        gym.make(SINE, cell="nowhere.toml")
 
 
 # What a severe reader found.
@@ -409,12 +405,6 @@ def test_a_program_that_ends_with_its_supervisor_is_noted(bench):
             bench.make()
     bench.cell.clear()
     bench.make()
-
-
-def test_limits_whose_brake_is_too_long_are_refused_at_make(bench):
-    bench.set_file(limits={"acceleration_rad_s2": 0.1, "jerk_rad_s3": 1.0})
-    with pytest.raises(SettingsError, match="need a brake of"):
-        bench.make()
 
 
 def test_a_slider_at_zero_moves_no_gripper_and_raises_nothing(bench):

@@ -13,8 +13,7 @@ from dual_ur10.sim2real.runtime.arm_sender import ArmSender
 from tests.virtual.faults.lab import ARMS
 
 
-@pytest.mark.parametrize("arm", [0, 1])
-@pytest.mark.parametrize("wait_s", [0.15, 1.0])
+@pytest.mark.parametrize(("arm", "wait_s"), [(0, 0.15), (1, 1.0)])
 def test_11_a_process_that_dies_before_the_start_stops_both(lab, arm, wait_s):
     lab.make()
     lab.note()

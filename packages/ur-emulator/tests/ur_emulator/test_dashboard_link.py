@@ -8,6 +8,7 @@ import pytest
 from tests.links.fake_servers import DEADLINE_S, serving, until_closed
 from ur_core.errors import ClosedError, LinkError, OperationRefusedError, SettingsError
 from ur_core.links.dashboard_link import FORBIDDEN, DashboardLink
+from ur_core.links.primary_link import read_primary
 
 HERE = "127.0.0.1"
 GREETING = b"Connected: Universal Robots Dashboard Server\n"
@@ -201,7 +202,8 @@ def test_another_server_is_named(greeting):
         DashboardLink(HERE, port=port)
 
 
-@pytest.mark.parametrize("values", [{"host": "robot.local"}, {"host": HERE, "timeout_s": -1.0}])
-def test_arguments_that_are_not_legal(values):
-    with pytest.raises(SettingsError):
-        DashboardLink(**values)
+@pytest.mark.parametrize("connect", [DashboardLink, read_primary])
+@pytest.mark.parametrize(("host", "timeout_s", "words"), [("robot.local", 1.0, "IPv4"), (HERE, 0.0, "timeout_s")])
+def test_arguments_that_are_not_legal(connect, host, timeout_s, words):
+    with pytest.raises(SettingsError, match=words):
+        connect(host, timeout_s)

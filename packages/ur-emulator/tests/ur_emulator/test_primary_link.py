@@ -157,10 +157,3 @@ def test_changed_bytes_are_a_protocol_error_or_values(place, junk):
         if reader.facts is not None:
             with contextlib.suppress(SettingsError):
                 reader.facts.dh("ur10")
-
-
-def test_arguments_that_are_not_legal():
-    with pytest.raises(SettingsError, match="IPv4"):
-        read_primary("robot")
-    with pytest.raises(SettingsError, match="timeout_s"):
-        read_primary(HERE, 0.0)

@@ -90,10 +90,9 @@ class Drawing:
         self.axis.set_axis_off()
         self.renderer: Any = self.figure.canvas.get_renderer()  # type: ignore[attr-defined]  # Agg has one
 
-    def text(self, x: float, y: float, text: str, **style: Any) -> float:
-        """Write a text that begins at x, with its middle at y, and return its width."""
-        drawn = self.axis.text(x, y, text, va="center_baseline", **{"fontsize": 8, **style})
-        return float(drawn.get_window_extent(self.renderer).width / self.figure.dpi)
+    def text(self, x: float, y: float, text: str, **style: Any) -> None:
+        """Write a text that begins at x, with its middle at y."""
+        self.axis.text(x, y, text, va="center_baseline", **{"fontsize": 8, **style})
 
     def box(self, x: float, y: float, width: float, height: float, **style: Any) -> None:
         """Draw a rounded box with its lower left corner at a place."""

@@ -16,16 +16,19 @@ from typing import Any
 from mkdocs.structure.files import File, Files
 
 
-def command_line() -> str:
-    """Return the reference of all commands and options, as the command line declares them."""
+def command_line(program: str) -> str:
+    """Return the reference of all commands and options of a program, as its command line declares them."""
     import typer
     from typer.cli import get_docs_for_click
 
-    from dual_ur10.cli.main import app
+    import dual_ur10.cli.main
+    import ur_emulator.cli
 
-    command = typer.main.get_command(app)
-    context = typer.Context(command, info_name="dual-ur10")
-    text = get_docs_for_click(obj=command, ctx=context, name="dual-ur10", title="Command line")
+    apps = {"dual-ur10": dual_ur10.cli.main.app, "ur-emulator": ur_emulator.cli.app}
+    titles = {"dual-ur10": "Command line", "ur-emulator": "The command ur-emulator"}
+    command = typer.main.get_command(apps[program])
+    context = typer.Context(command, info_name=program)
+    text = get_docs_for_click(obj=command, ctx=context, name=program, title=titles[program])
     text = re.sub(r"^Example: (.*)$", r"Example: `\1`", text, flags=re.MULTILINE)
     return re.sub(r"\[/?(?:bold|cyan|dim|red|yellow|green)[^\]]*\]|\[/\]", "", text)
 
@@ -257,7 +260,8 @@ def pages(folder: Path) -> dict[str, Callable[[], str]]:
 
     return {
         **{f"tasks/{slug(env_id)}.md": partial(task_page, env_id, folder) for env_id in TASKS},
-        "reference/cli.md": command_line,
+        "reference/cli.md": partial(command_line, "dual-ur10"),
+        "reference/cli-ur-emulator.md": partial(command_line, "ur-emulator"),
         "reference/cell-file.md": cell_file,
         "reference/errors.md": errors,
         "decisions/index.md": lambda: decisions(folder / "decisions"),

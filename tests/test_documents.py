@@ -42,7 +42,13 @@ READMES = {name: ROOT / "packages" / name / "README.md" for name in ("ur-core", 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *READMES.values(), *sorted(DOCS.rglob("*.md"))]
 TASK_PAGES = {f"tasks/{name}.md" for name in ("sine-tracking", "sync-carry", "handover", "free")}
 GENERATED = {"reference/cli.md", "reference/cell-file.md", "reference/errors.md", "decisions/index.md", "changelog.md"}
-GENERATED |= {"contributing.md", "changelog-ur-core.md", "changelog-ur-emulator.md", *TASK_PAGES}
+GENERATED |= {
+    "contributing.md",
+    "reference/cli-ur-emulator.md",
+    "changelog-ur-core.md",
+    "changelog-ur-emulator.md",
+    *TASK_PAGES,
+}
 FAULTS = 64
 
 

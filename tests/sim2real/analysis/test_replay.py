@@ -58,15 +58,17 @@ def sine(tmp_path_factory: pytest.TempPathFactory) -> Run:
     return record(tmp_path_factory.mktemp("runs") / "sine", SINE, [5, None, 7], STEPS)
 
 
-@pytest.mark.parametrize("env_id", [env_id for env_id in ENV_IDS if TASKS[env_id].scripted])
+MILD = {"randomization": {"preset": "mild", "mass": 0.1}, "action_mode": "joint_position"}
+PERTURBED = {"cell": CELL, "action_latency_ticks": 3}
+
+
 @pytest.mark.parametrize(
-    "keywords",
+    ("env_id", "keywords"),
     [
-        {},
-        {"randomization": {"preset": "mild", "mass": 0.1}, "action_mode": "joint_position"},
-        {"cell": CELL, "action_latency_ticks": 3},
+        *((env_id, {}) for env_id in ENV_IDS if TASKS[env_id].scripted),
+        ("DualUR10/SyncCarry-v0", MILD),
+        ("DualUR10/Handover-v0", PERTURBED),
     ],
-    ids=["plain", "randomized", "perturbed"],
 )
 def test_a_simulated_run_is_replayed_to_the_last_bit(tmp_path: Path, env_id: str, keywords: dict[str, Any]) -> None:
     run = record(tmp_path / "run", env_id, [5, None], STEPS, **keywords)

@@ -98,8 +98,7 @@ def random_windows(envelope: Envelope, rng: np.random.Generator, count: int) -> 
     )
 
 
-@pytest.mark.parametrize("limits", LIMITS)
-@pytest.mark.parametrize("tick_s", TICKS_S)
+@pytest.mark.parametrize(("limits", "tick_s"), [*zip(LIMITS, TICKS_S * 2, strict=True)])
 def test_an_accepted_window_can_be_braked_within_all_limits(limits: MotionLimits, tick_s: float) -> None:
     envelope = Envelope(limits, tick_s, 5)
     windows = random_windows(envelope, np.random.default_rng(0), 200)

@@ -7,7 +7,7 @@ import pytest
 
 from tests import soak
 
-TICKS, PARTS = (5_000, 10) if soak.SOAK else (500, 1)
+TICKS, PARTS = (5_000, 10) if soak.SOAK else (300, 1)
 """Of both arms together, and how often for each kind of policy: 200,000 in a soak."""
 
 _COLLECTED = 100  # steps: a sender remembers 4096 targets

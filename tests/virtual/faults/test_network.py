@@ -7,7 +7,6 @@ import pytest
 from dual_ur10.errors import CellFaulted, CellFileError, LinkError, StartError
 from dual_ur10.sim2real.runtime import runner
 from tests import soak
-from tests.pairwise import pairwise
 from tests.virtual.faults.lab import ARMS
 from ur_core.links.rtde_link import RtdeClient
 from ur_core.protocol.rtde import Kind
@@ -95,7 +94,8 @@ def test_27_registers_in_use_are_refused(lab):
 # While the arms move.
 
 
-@pairwise(arm=ARMS if soak.SOAK else ["left"], reset=[True, False], port=["rtde", "all"])
+@pytest.mark.parametrize("arm", ARMS if soak.SOAK else ["left"])
+@pytest.mark.parametrize(("reset", "port"), [(True, "rtde"), (False, "all")])
 def test_19_a_lost_connection_stops_both_and_stays_lost(lab, port, reset, arm):
     lab.begin()
     before = lab.programs()
@@ -116,7 +116,7 @@ def test_19_both_controllers_that_are_gone_are_the_root_cause(lab):
     lab.assert_stopped(error, f"both controllers are gone: {where}: all connections were closed")
 
 
-@pytest.mark.parametrize("reset", [True, False])
+@pytest.mark.parametrize("reset", [True, False] if soak.SOAK else [False])
 def test_19_a_lost_connection_of_commands_stays_lost(lab, reset):
     """The other connections of an arm's process stand, and notice nothing."""
     lab.begin()
@@ -194,7 +194,7 @@ def test_24_damaged_packets_stop_both(lab, arm, damage):
     lab.assert_stopped(error, f"{arm}: ", BROKEN[damage], "check the controller and the network", ramped=[OTHER[arm]])
 
 
-@pytest.mark.parametrize("corrupt", [1, 20, 1000])
+@pytest.mark.parametrize("corrupt", [1, 1000])
 @pytest.mark.parametrize("arm", ARMS if soak.SOAK else ["left"])
 def test_24_changed_bytes_stop_both_or_are_ignored(lab, arm, corrupt):
     lab.begin()

@@ -37,15 +37,15 @@ HANDOVER, SINE = "DualUR10/Handover-v0", "DualUR10/SineTracking-v0"
 class Bench:
     """Virtual cell, and at most one environment on it."""
 
-    def __init__(self, **options):
-        self.cell = VirtualCell(task="Handover", plant="nominal", **options)
+    def __init__(self, task="Handover", **options):
+        self.cell, self.env_id = VirtualCell(task=task, plant="nominal", **options), f"DualUR10/{task}-v0"
         self.ask, self.clock = self.cell.ask, self.cell.clock
         self.env = None
 
     def make(self, **keywords):
         """Return a new environment; the previous one is closed."""
         self.close_env()
-        self.env = gym.make(HANDOVER, cell=self.cell, disable_env_checker=True, **keywords)
+        self.env = gym.make(self.env_id, cell=self.cell, disable_env_checker=True, **keywords)
         return self.env
 
     def set_file(self, **values):
@@ -86,6 +86,10 @@ def bench(request):
     made.close()
 
 
+without_grippers = pytest.mark.parametrize("bench", [{"task": "SineTracking"}], indirect=True, ids=["SineTracking"])
+"""It begins in a tenth of the time."""
+
+
 def step(env, action, count):
     for _ in range(count):
         env.step(action)
@@ -110,6 +114,7 @@ def test_spaces_and_first_observation_equal_the_simulation(bench):
     assert (np.abs(found - expected) < 0.02).mean() > 0.85
 
 
+@without_grippers
 @pytest.mark.parametrize("fails", [True, False])
 def test_the_program_is_as_before_when_its_cell_is_gone(bench, monkeypatch, fails):
     system, hurried = bench.cell.system, []
@@ -143,6 +148,7 @@ def test_make_moves_nothing_and_reset_asks_before_it_does(bench):
         assert words in question
 
 
+@without_grippers
 def test_a_real_cell_asks_at_the_terminal_and_a_pipe_is_none(bench):
     bench.make()
     object.__setattr__(bench.core.cell.file, "kind", "real")
@@ -165,6 +171,7 @@ def test_one_policy_hands_over_on_both_cells_with_a_record(bench, tmp_path):
         assert len(arm.sent["late_s"]) >= 5 * found.steps
 
 
+@without_grippers
 def test_one_arm_moves_and_the_other_is_held(bench):
     env = bench.make(arm="left")
     before = np.array(bench.ask("state", arm="right", names=["actual_q"])["actual_q"])
@@ -228,6 +235,7 @@ def test_what_a_cell_cannot_be_is_refused_by_name(bench, make, error, words):
         make(bench)
 
 
+@without_grippers
 def test_it_can_be_neither_copied_nor_used_when_closed(bench):
     bench.make()
     cell = bench.core.cell
@@ -242,6 +250,7 @@ def test_it_can_be_neither_copied_nor_used_when_closed(bench):
 # What a severe reader found.
 
 
+@without_grippers
 def test_after_a_step_that_failed_an_episode_is_begun_again(bench, monkeypatch):
     env = bench.make()
     env.reset(seed=0)
@@ -293,6 +302,7 @@ def test_a_program_that_stalls_in_an_approach_sends_nothing_more(bench, monkeypa
     assert np.abs(np.diff(sent.target_rad, n=2, axis=0)).max() < 1e-3
 
 
+@without_grippers
 @pytest.mark.parametrize("stalls", [1, 3])
 def test_an_approach_continues_after_stalls_of_the_program(bench, monkeypatch, stalls):
     asked = []
@@ -338,6 +348,7 @@ def test_a_stop_while_a_person_is_asked_leaves_grippers_alone(bench, monkeypatch
     assert not told
 
 
+@without_grippers
 def test_nothing_goes_to_a_start_past_the_gate(bench):
     env = bench.make()
     env.reset(seed=0)
@@ -363,6 +374,7 @@ def test_nothing_goes_to_a_start_past_the_gate(bench):
     env.reset(seed=0, options={"move_to_start": True})  # and continues from there
 
 
+@without_grippers
 def test_the_end_of_the_emulator_is_the_root_cause_of_all_that_follows(bench):
     env = bench.make()
     env.reset(seed=0)
@@ -377,6 +389,7 @@ def test_the_end_of_the_emulator_is_the_root_cause_of_all_that_follows(bench):
     )
 
 
+@without_grippers
 def test_dead_processes_are_a_fault(bench):
     env = bench.make()
     env.reset(seed=0)
@@ -392,6 +405,7 @@ def test_dead_processes_are_a_fault(bench):
     assert "has ended" in bench.cell.fault
 
 
+@without_grippers
 def test_a_program_that_ends_with_its_supervisor_is_noted(bench):
     bench.make().reset(seed=0)
     lock = next(bench.cell.system.state_folder().glob(f"lock-{bench.cell.left}"))
@@ -425,6 +439,7 @@ def test_a_slider_at_zero_moves_no_gripper_and_raises_nothing(bench):
     assert not bench.cell.fault
 
 
+@without_grippers
 def test_a_fault_of_the_equipment_says_that_the_stop_is_latched_and_how_to_go_on(bench, monkeypatch):
     env = bench.make()
     env.reset(seed=0)
@@ -455,6 +470,7 @@ def test_a_policy_that_fails_in_a_rollout_has_the_exit_code_of_a_latched_stop(mo
     assert lines[-1].startswith("both arms were stopped: the policy failed: ZeroDivisionError")
 
 
+@without_grippers
 def test_an_interrupted_close_can_be_done_again(bench, monkeypatch):
     env = bench.make()
     env.reset(seed=0)
@@ -473,6 +489,7 @@ def test_an_interrupted_close_can_be_done_again(bench, monkeypatch):
     bench.make()  # the lock is free
 
 
+@without_grippers
 def test_a_make_that_fails_late_leaves_nothing_behind(bench):
     with pytest.raises(UnknownNameError) as kept:
         bench.make(observation="pixels", cameras=("nowhere",))
@@ -480,7 +497,8 @@ def test_a_make_that_fails_late_leaves_nothing_behind(bench):
     assert kept.value is not None
 
 
+@without_grippers
 def test_a_second_cell_of_one_program_is_refused(bench):
     bench.make()
     with pytest.raises(CellBusyError, match=r"env\.close\(\)"):
-        gym.make(HANDOVER, cell=bench.cell, disable_env_checker=True)
+        gym.make(bench.env_id, cell=bench.cell, disable_env_checker=True)

@@ -24,7 +24,8 @@ from ur_core.protocol.modes import RobotMode
 from ur_emulator.ports.link_faults import LinkFaults
 from ur_emulator.script import parse
 
-DOCS = Path(__file__).parents[4] / "docs" / "reference" / "emulator.md"
+DOCS = Path(__file__).parents[4] / "docs" / "reference"
+PAGES = (("emulator.md", "## Fault injection"), ("emulated-cell.md", "## Requests of a cell"))
 REQUESTS = sorted(
     ["info", "state", "pose", "place", "set_joints", "setpoints", "received", "clients", "stop", "release", "reduce",
      "press", "slider", "remote", "input", "program", "push", "link", "heal", "drop", "refuse", "override", "watchdog",
@@ -81,7 +82,7 @@ def packets(stream):
 
 
 def test_the_documentation_lists_all_requests():
-    text = DOCS.read_text().split("## Fault injection")[1].split("\n##")[0]
+    text = "".join((DOCS / page).read_text().split(section)[1].split("\n##")[0] for page, section in PAGES)
     listed = [row.split() for row in re.findall(r"^\| `([^`]+)` \|", text, re.MULTILINE)]
     cell = Pair()
     try:

@@ -229,7 +229,7 @@ def test_the_seed_of_the_mutations_runs() -> None:
 def test_mutated_programs_are_refused_or_run() -> None:
     chance = random.Random(1)
     counts = {"refused": 0, "stopped": 0, "ran": 0}
-    for _ in range(100_000 if SOAK else 500):
+    for _ in range(100_000 if SOAK else 800):
         text = mutated(chance)
         try:
             machine = Machine(parse(text, BUILTINS), BUILTINS, steps_per_tick=300)

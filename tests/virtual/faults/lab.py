@@ -55,6 +55,8 @@ class FaultLab:
     """
 
     wire = Wire
+    least_steps = 15
+    """Steps before faults, on a machine that begins in fits and starts."""
     asleep_ticks = 0
     """Further control periods for which a process may send on a busy machine before it counts as lost."""
 
@@ -141,7 +143,7 @@ class FaultLab:
         for step in range(_MOST_STEPS if steps is None else steps):
             observation = self.env.step(self.policy(observation))[0]
             # Looked at now and then only: it takes time, and actions must not be late.
-            if steps is None and step >= 15 and step % 4 == 3 and min(self.speeds_rad_s()) >= _FAST_RAD_S:
+            if steps is None and step >= self.least_steps and step % 4 == 3 and min(self.speeds_rad_s()) >= _FAST_RAD_S:
                 break
         return observation
 
@@ -368,6 +370,8 @@ class VirtualLab(FaultLab):
     """
 
     clearing = ".clear()"  # in the text of a latched stop
+
+    least_steps = 7
 
     def __init__(self, task="SineTracking", file=None, **options):
         self._messages = _Messages()

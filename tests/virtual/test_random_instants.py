@@ -79,7 +79,7 @@ def check_on_path(feedback, trajectory):
     np.testing.assert_allclose(feedback.desired_q_rad, wanted, atol=3e-3 if trajectory.qd_rad_s is None else 5e-4)
 
 
-@seeds(2)
+@seeds(1)
 def test_a_goal_is_cancelled(rng, cell, executor):
     trajectory = draw(rng)
     handle = executor.execute(trajectory)
@@ -94,7 +94,7 @@ def test_a_goal_is_cancelled(rng, cell, executor):
     check_rest(cell, executor)
 
 
-@seeds(2)
+@seeds(1)
 def test_a_stream_runs_out_of_points(rng, cell, executor):
     trajectory, known = draw(rng, points_per_s=25.0), 20
     last = int(rng.integers(known, len(trajectory)))
@@ -113,7 +113,7 @@ def test_a_stream_runs_out_of_points(rng, cell, executor):
     check_rest(cell, executor)
 
 
-@seeds(2)
+@seeds(1)
 def test_a_pushed_joint_ends_the_goal_within_two_cycles(rng, cell, executor):
     """A torque on one joint, which stays, lets it leave its path at a random instant."""
     world, tolerance_rad, seen = cell.emulator.world, 3e-3, []

@@ -169,7 +169,7 @@ def test_fixed_time_moves_reach_every_point_with_both_arms_at_once(cell):
 def test_clocks_that_drift_apart_are_kept_together():
     right = {"phase_s": 0.005, "drift_ppm": -150.0}
     with VirtualCell(plant="nominal", phase_s=0.001, drift_ppm=150.0, right=right) as cell:
-        _, seen = follow(cell, duration_s=8.0)
+        _, seen = follow(cell, duration_s=5.0)
         late = [np.array([each.late_s for each in seen if each.arm == arm and each.path_s > 1.0]) for arm in (0, 1)]
         assert max(np.abs(each).max() for each in late) < 1.5e-3
 

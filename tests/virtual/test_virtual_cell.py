@@ -27,7 +27,7 @@ def shared_episode():
     return episode()
 
 
-def episode(steps=30, fault=None, observation="state", **options):
+def episode(steps=18, fault=None, observation="state", **options):
     """Return what both controllers received, observations, and the error that ended it, if one did."""
     seen, error = [], None
     with VirtualCell(task="SineTracking", plant="nominal", **options) as cell:
@@ -35,7 +35,7 @@ def episode(steps=30, fault=None, observation="state", **options):
         seen.append(env.reset(seed=0)[0])
         try:
             for step in range(steps):
-                if step == 20 and fault:
+                if step == 10 and fault:
                     cell.ask(**fault)
                 action = np.full(env.action_space.shape, 0.2 * np.sin(step / 5), dtype=np.float32)
                 seen.append(env.step(action)[0])
@@ -48,7 +48,7 @@ def episode(steps=30, fault=None, observation="state", **options):
 
 def test_an_episode_is_the_same_to_the_bit():
     first = shared_episode()
-    assert len(first[0][0]) > 100
+    assert len(first[0][0]) > 60
     assert first[2] is None
     assert not first[3]
     assert episode() == first

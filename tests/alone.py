@@ -22,6 +22,14 @@ from packaging.requirements import Requirement
 OWN = ("ur-core", "ur-emulator", "dual-ur10")
 
 
+def built_of(root: Path, kind: str, out: Path) -> Path:
+    """Build the distribution of a folder, "wheel" or "sdist", into an empty folder, and return its path."""
+    command = [sys.executable, "-m", "hatchling", "build", "-t", kind, "-d", str(out)]
+    subprocess.run(command, cwd=root, check=True, timeout=300, capture_output=True)
+    (path,) = out.iterdir()
+    return path
+
+
 def closure(wanted: Sequence[str]) -> dict[str, Distribution]:
     """Return all distributions that requirements need, by name, as they are installed here."""
     found: dict[str, Distribution] = {}

@@ -1,10 +1,13 @@
 """Fixtures of the suite."""
 
+import functools
+
 import gymnasium
 import pettingzoo
 import pytest
 
 from dual_ur10 import ids
+from tests.alone import built_of
 
 
 @pytest.fixture
@@ -17,3 +20,9 @@ def registries():
     for registry, names in zip(found, before, strict=True):
         for name in set(registry) - names:
             del registry[name]
+
+
+@pytest.fixture(scope="session")
+def wheel_of(tmp_path_factory):
+    """Return a function that returns the wheel of the distribution in a folder, which it builds once."""
+    return functools.cache(lambda root: built_of(root, "wheel", tmp_path_factory.mktemp("wheel")))

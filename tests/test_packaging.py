@@ -16,29 +16,17 @@ import pytest
 import yaml
 
 from dual_ur10.errors import MissingExtraError
+from tests.alone import built_of
 
 ROOT = pathlib.Path(__file__).parents[1]
 CORE, EMULATOR = (ROOT / "packages" / name for name in ("ur-core", "ur-emulator"))
 WORKFLOWS = ROOT / ".github" / "workflows"
 
 
-def _built(root, kind, out):
-    command = [sys.executable, "-m", "hatchling", "build", "-t", kind, "-d", str(out)]
-    subprocess.run(command, cwd=root, check=True, timeout=120, capture_output=True)
-    (path,) = out.iterdir()
-    return path
-
-
-@pytest.fixture(scope="module")
-def wheels(tmp_path_factory):
-    """Wheels by the folders of their distributions."""
-    return {root: _built(root, "wheel", tmp_path_factory.mktemp("wheel")) for root in (ROOT, CORE, EMULATOR)}
-
-
 @pytest.fixture(params=[ROOT, CORE, EMULATOR], ids=["dual-ur10", "ur-core", "ur-emulator"])
-def built(request, wheels):
+def built(request, wheel_of):
     """Folder of a distribution, its wheel, and the names in it."""
-    wheel = wheels[request.param]
+    wheel = wheel_of(request.param)
     return request.param, wheel, zipfile.ZipFile(wheel).namelist()
 
 
@@ -82,7 +70,7 @@ def test_an_sdist_gives_the_same_wheel(built, tmp_path):
     root, wheel, names = built
     for name in ("sdist", "root", "wheel"):
         (tmp_path / name).mkdir()
-    with tarfile.open(_built(root, "sdist", tmp_path / "sdist")) as sdist:
+    with tarfile.open(built_of(root, "sdist", tmp_path / "sdist")) as sdist:
         found = {name.split("/", 1)[1] for name in sdist.getnames()}
         sdist.extractall(tmp_path / "root", filter="data")
     assert "pyproject.toml" in found
@@ -90,7 +78,7 @@ def test_an_sdist_gives_the_same_wheel(built, tmp_path):
         assert {"Makefile", "constraints.txt", "CITATION.cff", "tests/conftest.py", "docs/index.md"} <= found
     assert not [name for name in found if name.endswith((".so", ".pyc"))]
     (unpacked,) = (tmp_path / "root").iterdir()
-    again, first = zipfile.ZipFile(_built(unpacked, "wheel", tmp_path / "wheel")), zipfile.ZipFile(wheel)
+    again, first = zipfile.ZipFile(built_of(unpacked, "wheel", tmp_path / "wheel")), zipfile.ZipFile(wheel)
     assert again.namelist() == names
     for name in names:
         if name.endswith(".so"):
@@ -151,10 +139,10 @@ def test_a_release_has_the_tag_of_all_distributions(tmp_path):
         assert (done.returncode == 0) == (odd is None), odd
 
 
-def test_a_release_publishes_all_distributions(wheels):
+def test_a_release_publishes_all_distributions(wheel_of):
     """Sdists and wheels for any platform as `make dist` builds them; the compiled wheel for each platform."""
     patterns = _step("actions/upload-artifact")["with"]["path"].split()
-    made = {root: f"out/dist/{wheel.name}" for root, wheel in wheels.items()}
+    made = {root: f"out/dist/{wheel_of(root).name}" for root in (ROOT, CORE, EMULATOR)}
     found = {root for root, name in made.items() if any(fnmatch.fnmatch(name, each) for each in patterns)}
     assert found == {ROOT, EMULATOR}
     assert "out/dist/*.tar.gz" in patterns
@@ -306,14 +294,14 @@ wrong: int = cell.left
 """
 
 
-def test_the_types_of_the_wheels_reach_their_users(wheels, tmp_path):
+def test_the_types_of_the_wheels_reach_their_users(wheel_of, tmp_path):
     pytest.importorskip("mypy")
     home = tmp_path / "venv"
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(home)], check=True, timeout=120)
     (packages,) = home.glob("lib/python*/site-packages")
-    for wheel in wheels.values():
+    for root in (ROOT, CORE, EMULATOR):
         # Alone: reading what they depend on takes a minute and shows no more.
-        zipfile.ZipFile(wheel).extractall(packages)
+        zipfile.ZipFile(wheel_of(root)).extractall(packages)
     consumer = tmp_path / "consumer.py"
     consumer.write_text(CONSUMER)
     command = [sys.executable, "-m", "mypy", "--strict", "--python-executable", str(home / "bin" / "python")]
@@ -357,7 +345,8 @@ def test_every_module_stands_on_a_floor():
 def test_no_function_takes_an_arm_for_a_ur10():
     found = []
     for _, path in _modules():
-        for node in ast.walk(ast.parse(path.read_text())):
+        text = path.read_text()
+        for node in ast.walk(ast.parse(text)) if re.search(r"NOMINAL_DH|(?<!dual[-_])ur10\b", text) else ():
             if isinstance(node, ast.FunctionDef):
                 defaults = [each for each in (*node.args.defaults, *node.args.kw_defaults) if each is not None]
                 if any(re.search(r"NOMINAL_DH|(?<!dual-)ur10\b", ast.unparse(each)) for each in defaults):

@@ -21,7 +21,7 @@ from ur_core.servoj import ServojProfile
 N, PERIODS = 64, 45
 SCENE = SceneSettings(obstacles=(Box(name="plate", position_m=(0.3, 0.0, 0.9), size_m=(0.6, 0.01, 0.4)),))
 UNCERTAIN = ((0.004, 0.01), (0.002, 0.02))
-ALONE = [*range(20), 40, 41, 63]  # pushed at random, of every adversarial kind, and those that start again
+ALONE = [*range(0, 20, 2), 3, 17, 40, 41, 63]  # pushed at random, of every adversarial kind, and those that start again
 # Shapes of a run: the periods at whose beginning some rows start again, elsewhere.
 RESETS = {11: np.array([3, 17, 40, 63]), 30: np.array([0, 3, 41])}
 

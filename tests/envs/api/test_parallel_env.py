@@ -83,10 +83,13 @@ def test_pettingzoo_checks_rendering():
         env.close()
 
 
+MODES = [("joint_delta", 0), ("joint_delta", 3), ("joint_position", 0), ("tcp_delta", 3)]
+
+
 @pytest.mark.parametrize(
-    ("mode", "latency"), [("joint_delta", 0), ("joint_delta", 3), ("joint_position", 0), ("tcp_delta", 3)]
+    ("env_id", "mode", "latency"),
+    [(SINE, *each) for each in MODES] + [(env_id, *MODES[k]) for k, env_id in enumerate(IDS) if env_id != SINE],
 )
-@pytest.mark.parametrize("env_id", IDS)
 def test_all_interfaces_agree_bit_for_bit(env_id, mode, latency):
     keywords = {"action_mode": mode, "action_latency_ticks": latency}
     steps, row, seed = scaled(400), 5, 17

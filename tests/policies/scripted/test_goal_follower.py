@@ -36,12 +36,13 @@ def test_every_block_is_placed(keywords):
         step = core.step(follower(observation))
         observation = step.observation
         success |= step.info["is_success"]
-    assert success.all()
+        if success.all():
+            return
+    raise AssertionError(success)
 
 
-@pytest.mark.parametrize("keywords", [{"randomization": "mild", "action_latency_ticks": 5}, {"grasp": "rigid"}])
-def test_every_bar_is_carried(keywords):
-    n, keywords = 2 if SOAK else 1, {**MODE, **keywords}
+def test_every_bar_is_carried():
+    n, keywords = 4 if SOAK else 1, {**MODE, "randomization": "mild", "action_latency_ticks": 5}
     core, follower = Core("SyncCarry", keywords, n=n), policies.load("scripted", CARRY, **keywords)
     observation, _ = core.reset([np.random.default_rng(seed) for seed in range(n)])
     for _ in range(core.task.horizon):

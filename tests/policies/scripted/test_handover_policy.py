@@ -59,7 +59,7 @@ def episodes(count, **keywords):
 
 @pytest.mark.parametrize("giver", ["left", "right"])
 def test_success_wherever_the_block_lies(giver):
-    results, duration_s = episodes(300 if SOAK else 5, giver=giver)
+    results, duration_s = episodes(300 if SOAK else 3, giver=giver)
     assert all(each["is_success"] for each in results)
     assert all(each["stage"] == 7 for each in results)
     assert max(each["object_error_m"] for each in results) < 0.002
@@ -69,7 +69,7 @@ def test_success_wherever_the_block_lies(giver):
 
 
 def test_success_with_a_block_that_is_measured_elsewhere():
-    results, _ = episodes(300 if SOAK else 6, giver="random", randomization=NOISE)
+    results, _ = episodes(300 if SOAK else 3, giver="random", randomization=NOISE)
     assert np.mean([each["is_success"] for each in results]) >= 0.99
 
 
@@ -78,16 +78,14 @@ def test_success_with_a_block_that_is_measured_elsewhere():
     [
         {"cell": CellConfig(speed_rad_s=0.5)},
         {"cell": CellConfig(tcp_speed_m_s=0.25)},
-        {"cell": CellConfig(left=ArmMount((-0.75, 0.55, 0.02), 0.2))},
-        {"cell": CellConfig(right=ArmMount((-0.92, -0.45, 0.08)))},
-        {"cell": CellConfig(servoj=ServojProfile("e-series"))},
+        {"cell": CellConfig(left=ArmMount((-0.75, 0.55, 0.02), 0.2), right=ArmMount((-0.92, -0.45, 0.08)))},
         {"cell": CellConfig(perturbation=TYPICAL_PERTURBATION), "action_latency_ticks": 3},
         {"policy_rate_hz": 12.5},
-        {"action_mode": "joint_position"},
+        {"action_mode": "joint_position", "cell": CellConfig(servoj=ServojProfile("e-series"))},
         {"object_range_m": 0.08, "object_turn_rad": 1.0, "target_range_m": 0.08, "target_turn_rad": 1.0},
         {"randomization": "wide", "cell": CellConfig(speed_rad_s=1.1)},
     ],
-    ids=["slow joints", "slow tip", "moved", "uneven", "e-series", "perturbed", "12.5 Hz", "positions", "far", "wide"],
+    ids=["slow joints", "slow tip", "moved", "perturbed", "12.5 Hz", "positions", "far", "wide"],
 )
 def test_success_in_other_cells(keywords):
     if "randomization" in keywords:

@@ -95,7 +95,7 @@ def test_scattered_samples_lead_back_to_the_demonstrated_path(std_rad):
     action = np.stack([np.full(1000, 0.25), np.where(place > 0.0, -1.0, 1.0)], axis=1).astype(np.float32)
     fit = Fit(SETTINGS, scatter=Scatter(std_rad, [1], [0], [step_rad]) if std_rad else None)
     with reproducible(0):
-        fit(observation, action, 1500, np.random.default_rng(0))
+        fit(observation, action, 700, np.random.default_rng(0))
     places = np.array([-0.6, 0.5])
     on, off = (np.stack([places, 0.1 * places + away], axis=1) for away in (0.0, 0.01))
     found, displaced = network(fit)(on), network(fit)(off)

@@ -16,7 +16,6 @@ from dual_ur10.cli.train import _meet
 from dual_ur10.cli.watch_session import WatchSession
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.rendering.live.buttons import EPISODES, TAKES
-from dual_ur10.envs.rendering.live.guard import bind
 from dual_ur10.envs.rendering.live.live_page import LivePage
 from dual_ur10.envs.rendering.live.memory import Handles
 from dual_ur10.errors import CellFaulted, DeviceGarbageError, RenderError, StartError
@@ -545,13 +544,6 @@ def test_view_opens_a_page_without_a_stop_and_a_browser_that_has_a_window(monkey
         assert (code, "closed" in text, asked) == (0, True, ["http://the.page/"])
     assert made[0]["policies"][:2] == ("zero", "scripted")
     assert not made[0]["handles"]
-
-
-def test_a_busy_port_is_named():
-    with bind(0) as taken:
-        code, text = run("live", "SineTracking", "--port", str(taken.getsockname()[1]), "--cameras", "none")
-    assert code == 2
-    assert "is busy" in text
 
 
 def test_arms_do_not_move_to_the_start_without_the_yes_that_rollout_asks_for(drive, monkeypatch):

@@ -1,5 +1,4 @@
 import logging
-import pickle
 import subprocess
 import sys
 import unittest
@@ -156,17 +155,6 @@ def test_names_and_keywords_are_refused_as_elsewhere():
     env.close()
     with pytest.raises(errors.ClosedError):
         env.reset()
-
-
-def test_a_pickled_copy_continues_bit_for_bit():
-    env = dm_env(SINE, seed=3, duration_s=0.2)
-    for _ in range(3):
-        env.step(ZERO)
-    copy = pickle.loads(pickle.dumps(env))
-    for _ in range(6):
-        ours, theirs = env.step(ZERO), copy.step(ZERO)
-        assert ours[:3] == theirs[:3]
-        assert np.array_equal(ours.observation, theirs.observation)
 
 
 def test_its_import_loads_nothing_heavy():

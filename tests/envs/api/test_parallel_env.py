@@ -1,4 +1,3 @@
-import pickle
 import re
 import subprocess
 import sys
@@ -9,14 +8,11 @@ import pettingzoo
 import pytest
 from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, render_test, seed_test
 from pettingzoo.test.state_test import state_test
-from pettingzoo.utils.conversions import aec_to_parallel
 
 import dual_ur10
 from dual_ur10 import errors
 from dual_ur10.envs import aec_env, parallel_env
-from dual_ur10.envs.api.parallel_env import DualArmParallelEnv
 from tests import scripts
-from tests.envs.equality import equal
 from tests.soak import scaled
 from ur_core.kinematics.ur10 import ARMS
 
@@ -273,29 +269,6 @@ def test_the_generator_continues_and_a_seed_restarts_it():
     assert np.array_equal(starts[0], starts[2])
     assert np.array_equal(starts[1], starts[3])
     assert not np.array_equal(starts[0], starts[1])
-
-
-@pytest.mark.parametrize("make", [parallel_env, aec_env])
-def test_a_pickled_copy_continues_bit_for_bit(make):
-    env = make(SINE, reward="individual", max_cycles=6)
-    env.reset(seed=0)
-
-    def play(env, steps):
-        env = env if isinstance(env, DualArmParallelEnv) else aec_to_parallel(env)
-        rng = np.random.default_rng(steps)
-        for _ in range(steps):
-            result = env.step({arm: rng.uniform(-0.3, 0.3, 6).astype(np.float32) for arm in ARMS})
-        return result
-
-    play(env, 3)
-    copy = pickle.loads(pickle.dumps(env))
-    ours, theirs = play(env, 3), play(copy, 3)
-    for arm in ARMS:
-        assert np.array_equal(ours[0][arm], theirs[0][arm])
-        assert ours[1][arm] == theirs[1][arm]
-        assert ours[3][arm]
-        assert theirs[3][arm]
-        assert equal(ours[4][arm], theirs[4][arm])
 
 
 BAD_ACTIONS = {

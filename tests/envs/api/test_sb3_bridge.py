@@ -1,4 +1,3 @@
-import pickle
 import re
 
 import numpy as np
@@ -219,17 +218,6 @@ def test_bad_actions_options_and_order():
 def test_bad_keywords(keywords, error, text):
     with pytest.raises(error, match=re.escape(text)):
         TwoAgentVecEnv(**{"task": SINE, **keywords})
-
-
-def test_a_pickled_copy_continues_bit_for_bit():
-    env = TwoAgentVecEnv(SINE, 2, max_episode_steps=4)
-    env.seed(0)
-    env.reset()
-    env.step(zeros(env))
-    copy = pickle.loads(pickle.dumps(env))
-    for _ in range(6):
-        ours, theirs = env.step(zeros(env)), copy.step(zeros(env))
-        assert all(np.array_equal(a, b) for a, b in zip(ours[:3], theirs[:3], strict=True))
 
 
 def test_images_are_one_per_cell():

@@ -1,4 +1,3 @@
-import pickle
 import re
 
 import gymnasium as gym
@@ -203,17 +202,6 @@ def test_a_diverged_row_ends_alone():
     observation, _, terminated, _, info = env.step(np.zeros((3, 12), dtype=np.float32))
     assert not terminated.any()
     assert "physics_error" not in info
-
-
-def test_a_pickled_copy_continues_bit_for_bit():
-    env = vector(3)
-    env.reset(seed=0)
-    actions = random_actions(12, 3)
-    for action in actions[:6]:
-        env.step(action)
-    copy = pickle.loads(pickle.dumps(env))
-    for action in actions[6:]:
-        assert np.array_equal(env.step(action)[0], copy.step(action)[0])
 
 
 def test_scripted_policy_on_a_batch():

@@ -324,18 +324,6 @@ def test_disabled_autoreset_leaves_the_images_of_other_rows():
     assert [equal(row(before, k), row(after, k)) for k in range(2)] == [False, True]
 
 
-@pytest.mark.parametrize("make", [single, vector])
-def test_a_pickled_copy_continues_bit_for_bit(make):
-    env = make(observation="both", pixels_rate_hz=25 / 3)
-    env.reset(seed=0)
-    steps = actions(8, getattr(env, "num_envs", None))
-    for action in steps[:4]:
-        env.step(action)
-    copy = pickle.loads(pickle.dumps(env))
-    for action in steps[4:]:
-        assert equal(env.step(action)[0], copy.step(action)[0])
-
-
 @pytest.mark.parametrize("make", [single, functools.partial(vector, threads=2)])
 def test_canvases_are_made_with_the_first_image_and_closed_with_the_environment(make, monkeypatch):
     made, closed = [], []

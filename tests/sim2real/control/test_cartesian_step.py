@@ -10,6 +10,7 @@ from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.sim2real.control.adapter import TCP_ROTATION_RAD_S, TCP_STEP_M_S, ServojAdapter
 from dual_ur10.sim2real.control.cartesian_step import HALT_CONDITION, SLOW_CONDITION, condition, fraction_of_step
 from tests.sim2real.control.test_adapter import HARD
+from tests.soak import scaled
 from ur_core.kinematics.forward import pose_and_jacobian
 from ur_core.kinematics.ur10 import NOMINAL_DH
 from ur_core.servoj import ServojProfile
@@ -31,7 +32,7 @@ def test_the_condition_is_that_of_the_jacobian(q):
     assert (condition(q, NOMINAL_DH)[near] > 1e8).all()
 
 
-@settings(max_examples=100)
+@settings(max_examples=scaled(300, 3))
 @given(POSTURES, arrays(np.float64, (4, 6), elements=st.floats(-0.2, 0.2)), st.floats(1.0, 10.0))
 def test_a_step_is_made_smaller_only_towards_a_singularity(q, step, ahead):
     fraction = fraction_of_step(q, step, ahead, NOMINAL_DH)

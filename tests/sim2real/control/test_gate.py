@@ -18,6 +18,7 @@ from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import MotionLimits
 from tests.sim2real.control.motion_checks import HARD, NARROW, TIGHT, TOOL, AlwaysClear, assert_within
+from tests.soak import scaled
 from ur_core.kinematics.ur10 import ARMS, NOMINAL_DH
 from ur_core.servoj import ServojProfile
 
@@ -129,7 +130,7 @@ def push_beyond(kind: str, last: np.ndarray, targets: np.ndarray, rng: np.random
     return np.zeros_like(targets)
 
 
-@settings(max_examples=12)
+@settings(max_examples=scaled(24, 2))
 @given(
     kind=st.sampled_from(["jump", "walk", "huge", "subtle", "zero"]),
     family=st.sampled_from(["cb3", "e-series"]),

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dual_ur10.sim2real.runtime.arm_sender import STOP_RAD_S2, STOP_RAD_S3, StopRamp
+from tests.soak import scaled
 
 speeds = st.lists(st.floats(-2.5, 2.5), min_size=6, max_size=6)
 
@@ -21,7 +22,7 @@ def targets_of(speed, tick_s):
     return np.array(targets)
 
 
-@settings(max_examples=100)
+@settings(max_examples=scaled(300, 3))
 @given(speeds, st.sampled_from([0.008, 0.002]))
 def test_a_ramp_is_straight_and_within_its_limits(speed, tick_s):
     targets = targets_of(speed, tick_s)

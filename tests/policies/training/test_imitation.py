@@ -212,7 +212,7 @@ def test_samples_of_another_kind_of_action_are_not_scattered(tmp_path):
 
 
 def test_imitation_learns(tmp_path):
-    changes = {"hidden": (64, 64), "fit_steps": 400, "batch_size": 256}
+    changes = {"hidden": (64, 64), "fit_steps": 200, "batch_size": 256}
     keywords = {"randomize": False, "randomization": "none"}
     asked = small(envs=8, rounds=1, steps=3 * 8 * STEPS, changes=changes, keywords=keywords)
     learned = checkpoint.read_manifest(train(asked, tmp_path / "out")).evaluation["mean_return"]

@@ -25,7 +25,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dual_ur10.cli.options import make
+from dual_ur10.cli.session import make
 from dual_ur10.envs.rendering.live.shown import Shown
 from dual_ur10.errors import CellFaulted
 from dual_ur10.policies.operators.page import open_page

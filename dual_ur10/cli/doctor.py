@@ -23,11 +23,10 @@ from dual_ur10.cli.options import (
     console,
     family_of,
     keywords_of,
-    on_virtual,
-    power_on,
     print_whole,
     progress_of,
 )
+from dual_ur10.cli.session import on_virtual, power_on
 from dual_ur10.errors import SettingsError
 from dual_ur10.sim2real.cell_file.cell_file import load_cell_file
 from ur_core.kinematics.ur10 import ARMS, Family

@@ -10,7 +10,6 @@ import typer
 
 from dual_ur10.cli.options import (
     RUNS,
-    STOP_COMMANDED,
     CellName,
     EnvName,
     MinSuccess,
@@ -23,19 +22,22 @@ from dual_ur10.cli.options import (
     Randomization,
     Seed,
     Settings,
-    asks,
     check_extras,
+    console,
+    keywords_of,
+    progress_of,
+    randomize,
+)
+from dual_ur10.cli.session import (
+    STOP_COMMANDED,
+    asks,
     check_leader,
     check_min_success,
     conclude,
-    console,
-    keywords_of,
     late_text,
     make_operator,
     on_virtual,
     power_on,
-    progress_of,
-    randomize,
 )
 from dual_ur10.errors import SettingsError
 from dual_ur10.ids import env_id_of

@@ -13,18 +13,8 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from dual_ur10.cli.options import (
-    CellName,
-    Perturbed,
-    PowerOn,
-    check_extras,
-    console,
-    errors,
-    interrupts_noted,
-    keywords_of,
-    on_virtual,
-    power_on,
-)
+from dual_ur10.cli.options import CellName, Perturbed, PowerOn, check_extras, console, errors, keywords_of
+from dual_ur10.cli.session import interrupts_noted, on_virtual, power_on
 from dual_ur10.errors import SettingsError, TrajectoryError
 from dual_ur10.sim2real.cell_file.cell_file import load_cell_file
 from dual_ur10.sim2real.trajectory.goal import GoalState

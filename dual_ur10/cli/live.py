@@ -11,7 +11,6 @@ from rich.markup import escape
 
 from dual_ur10.cli.options import (
     POLICIES,
-    STOP_COMMANDED,
     VIRTUAL,
     CellName,
     EnvName,
@@ -22,15 +21,12 @@ from dual_ur10.cli.options import (
     Seed,
     Settings,
     check_extras,
-    close,
     console,
     errors,
     keywords_of,
-    make,
-    on_virtual,
-    power_on,
     randomize,
 )
+from dual_ur10.cli.session import STOP_COMMANDED, close, make, on_virtual, power_on
 from dual_ur10.envs.rendering.live.attendance import UNATTENDED_S
 from dual_ur10.envs.rendering.live.guard import PORT
 from dual_ur10.errors import SettingsError

@@ -37,8 +37,8 @@ _COMMANDS: Final[dict[str, dict[str, str]]] = {
     },
     "Learn": {
         "train SineTracking --algo ppo --out sine": "train:train",
-        "collect SyncCarry --episodes 200 --randomization mild": "train:collect",
-        "convert model.zip SineTracking --out sine --trust-pickle": "train:convert",
+        "collect SyncCarry --episodes 200 --randomization mild": "collect:collect",
+        "convert model.zip SineTracking --out sine --trust-pickle": "convert:convert",
     },
     "Controllers, emulated or real": {
         "emulate --cell cell.toml --view": "emulate:emulate",

@@ -11,7 +11,6 @@ from rich.table import Table
 
 from dual_ur10.cli.options import (
     RUNS,
-    STOP_COMMANDED,
     CellName,
     NoRecord,
     OneArm,
@@ -19,17 +18,14 @@ from dual_ur10.cli.options import (
     PowerOn,
     Record,
     RunPath,
-    asks,
     check_extras,
     console,
     errors,
     keywords_of,
-    late_text,
-    on_virtual,
-    power_on,
     progress_of,
     record_in,
 )
+from dual_ur10.cli.session import STOP_COMMANDED, asks, late_text, on_virtual, power_on
 from ur_core.files import check_target
 from ur_core.processes.interrupts import INTERRUPTED
 

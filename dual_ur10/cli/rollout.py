@@ -25,22 +25,15 @@ from dual_ur10.cli.options import (
     Seed,
     Settings,
     TakeoverName,
-    asks,
     check_extras,
-    check_min_success,
-    close,
-    conclude,
     console,
     errors,
     keywords_of,
-    late_text,
-    make,
-    on_virtual,
-    power_on,
     progress_of,
     randomize,
     record_in,
 )
+from dual_ur10.cli.session import asks, check_min_success, close, conclude, late_text, make, on_virtual, power_on
 from dual_ur10.ids import env_id_of
 from dual_ur10.policies.registry import provenance
 from ur_core.processes.interrupts import INTERRUPTED

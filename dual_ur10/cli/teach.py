@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.markup import escape
 
-from dual_ur10.cli.options import PowerOn, console, interrupts_noted, power_on
+from dual_ur10.cli.options import PowerOn, console
+from dual_ur10.cli.session import interrupts_noted, power_on
 from dual_ur10.errors import UnknownNameError
 from dual_ur10.sim2real.cell_file.cell_file import load_cell_file
 from ur_core.kinematics.ur10 import ARMS

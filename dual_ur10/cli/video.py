@@ -14,13 +14,12 @@ from dual_ur10.cli.options import (
     PolicyName,
     Randomization,
     Settings,
-    close,
     console,
     keywords_of,
-    make,
     progress_of,
     randomize,
 )
+from dual_ur10.cli.session import close, make
 from dual_ur10.ids import env_id_of
 
 

@@ -5,7 +5,7 @@ import threading
 import numpy as np
 
 from dual_ur10.cli.live import buttons_of
-from dual_ur10.cli.options import make
+from dual_ur10.cli.session import make
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.rendering.live.viewpoints import CAMERA, FOV_RAD
 from dual_ur10.errors import DeviceUnpluggedError, RenderError

@@ -10,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from dual_ur10.cli import options
+from dual_ur10.cli import session
 from dual_ur10.cli.live import buttons_of
 from dual_ur10.cli.train import _meet
 from dual_ur10.cli.watch_session import WatchSession
@@ -304,7 +304,7 @@ def watching(drive):
     driver = drive(task="SineTracking")
 
     def make(name):
-        return *options.make("SineTracking", name, {}, 0), None
+        return *session.make("SineTracking", name, {}, 0), None
 
     driver.session.shown.close()
     driver.session = LiveSession(*make("scripted"), driver.page, 7, ("scripted", "no/folder", "learned"), make)

@@ -22,6 +22,7 @@ from rich.console import Console
 
 from dual_ur10 import ENV_IDS, __version__
 from dual_ur10.cli import options as cli_options
+from dual_ur10.cli import session as cli_session
 from dual_ur10.emulated.virtual_cell import VirtualCell
 from dual_ur10.envs.core.setup import load_task
 from dual_ur10.errors import MissingExtraError, SettingsError
@@ -206,12 +207,12 @@ def test_the_last_line_and_the_exit_code_tell_that_nothing_succeeded(
 
 def test_too_few_successes_and_late_actions_are_told_apart(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(typer.Exit) as caught:
-        cli_options.conclude(1, 4, 1, 0.5)
+        cli_session.conclude(1, 4, 1, 0.5)
     assert caught.value.exit_code == 1
     text = capsys.readouterr().err
     assert text.startswith("too few successes: 1 of 4 are a rate of 0.25, required 0.5 or more; 1 late action stopped")
     assert "no decision of the policy: this machine is too busy" in text
-    cli_options.conclude(1, 4, 3, None)  # its own line tells of them
+    cli_session.conclude(1, 4, 3, None)  # its own line tells of them
     assert capsys.readouterr().err == ""
 
 
@@ -630,7 +631,7 @@ def test_a_terminal_sees_the_time_left(
 )
 def test_a_bar_is_neither_in_files_nor_over_questions(terminal: bool, cell: str | None, shown: bool) -> None:
     console = Console(file=io.StringIO(), force_terminal=terminal)
-    assert cli_options.progress_of(console, cli_options.asks(cell)).disable != shown
+    assert cli_options.progress_of(console, cli_session.asks(cell)).disable != shown
 
 
 def test_all_commands_show_progress_in_the_same_way() -> None:

@@ -25,7 +25,7 @@ from ur_core.kinematics.ur10 import ARMS
 from ur_core.mjcf.torque_control import Torques
 from ur_core.tools.tool import Tool, strokes_m
 from ur_core.types import Array
-from ur_emulator.controller.controller import ArmReading
+from ur_emulator.controller.reported_values import ArmReading
 from ur_emulator.motion import JointTorques
 from ur_emulator.world.plant import PlantOptions
 from ur_emulator.world.world import Delay, Hand

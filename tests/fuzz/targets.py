@@ -52,9 +52,10 @@ from ur_core.protocol.primary_packet import PrimaryPacket
 from ur_core.protocol.rtde import TYPES, FrameReader
 from ur_core.protocol.text_lines import LineReader
 from ur_emulator.builtins.table import builtins_of
-from ur_emulator.controller.controller import ArmReading, Controller
+from ur_emulator.controller.controller import Controller
 from ur_emulator.controller.pendant import Pendant
 from ur_emulator.controller.registers import Registers
+from ur_emulator.controller.reported_values import ArmReading
 from ur_emulator.controller.rtde_variables import zero_values
 from ur_emulator.injection.fault_injection import FaultInjection
 from ur_emulator.ports.arm_server import ArmServer, DashboardPeer, LinePeer

@@ -14,7 +14,7 @@ from tests.ur_emulator.ticking import COUNT, HOME, PLAYS, Bench, program
 from ur_core.errors import OperationRefusedError
 from ur_core.kinematics.ur10 import JOINT_SPEED_RAD_S
 from ur_core.protocol.modes import RobotMode, RuntimeState, SafetyBits, SafetyMode
-from ur_emulator.controller.controller import LiveValues
+from ur_emulator.controller.reported_values import LiveValues
 
 FAR = [1.2, -1.2, 1.2, -1.0, -1.2, 1.5]
 MOVE = f"movej({FAR}, a=3, v=1)"

@@ -11,7 +11,7 @@ from ur_core.kinematics import flange_pose
 from ur_core.kinematics.ur10 import NOMINAL_DH
 from ur_core.protocol.modes import RuntimeState, SafetyMode
 from ur_core.protocol.primary_packet import PrimaryPacket
-from ur_emulator.controller.controller import ArmReading
+from ur_emulator.controller.reported_values import ArmReading
 from ur_emulator.ports.realtime_packet import RealtimePacket
 
 ODD = ("0", "-1", "7", "1e308", "-2147483647", "True", '"text"', '"123"', '"123456"', "[]", "[1, 2]", "[1, 2, 3]",

@@ -15,8 +15,9 @@ from ur_core.processes.system import LOCAL, System
 from ur_core.protocol.modes import RobotBits, RobotMode, RuntimeState, SafetyBits, SafetyMode
 from ur_core.protocol.primary_packet import PrimaryPacket
 from ur_emulator.builtins.table import builtins_of
-from ur_emulator.controller.controller import ArmReading, Controller
+from ur_emulator.controller.controller import Controller
 from ur_emulator.controller.pendant import Pendant
+from ur_emulator.controller.reported_values import ArmReading
 from ur_emulator.controller.safety import Demand
 from ur_emulator.emulator import ControllerOptions, Emulator
 from ur_emulator.ports.dashboard import Dashboard

@@ -6,12 +6,12 @@ import logging
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
 from ur_core.errors import OperationRefusedError, ScriptError
-from ur_core.kinematics.forward import elbow_and_flange_position, flange_pose
+from ur_core.kinematics.forward import flange_pose
 from ur_core.kinematics.rotations import cross
 from ur_core.kinematics.ur10 import DHParameters
 from ur_core.processes.system import LOCAL, System
@@ -22,7 +22,7 @@ from ur_emulator.controller.inputs_outputs import InputsOutputs
 from ur_emulator.controller.program_runner import ProgramRunner
 from ur_emulator.controller.received import Received
 from ur_emulator.controller.registers import Registers, Watchdog
-from ur_emulator.controller.rtde_variables import zero_values
+from ur_emulator.controller.reported_values import GRAVITY_M_S2, ArmReading, ReportedValues
 from ur_emulator.controller.safety import Demand, Safety
 from ur_emulator.controller.script_sockets import ScriptSockets
 from ur_emulator.motion import JointTorques, MotionGenerator
@@ -32,11 +32,6 @@ from ur_emulator.script import Builtins, Program
 
 log = logging.getLogger(__name__)
 
-GRAVITY_M_S2: Final = 9.81
-
-# UR publishes no torque constants. These give plausible currents for the simulated torques.
-_NM_PER_A: Final = np.array([13.0, 13.0, 10.0, 9.0, 9.0, 9.0])
-
 _POWERED: Final = (RobotMode.POWER_ON, RobotMode.IDLE, RobotMode.RUNNING)
 _PLAYS: Final = (RuntimeState.PLAYING, RuntimeState.RESUMING, RuntimeState.PAUSING)
 _ROBOT_BITS: Final = (  # by power, and by a running program: operations on flags are slow
@@ -44,17 +39,6 @@ _ROBOT_BITS: Final = (  # by power, and by a running program: operations on flag
     (RobotBits.POWER_ON, RobotBits.POWER_ON | RobotBits.PROGRAM_RUNNING),
 )
 _RUNNING: Final = (int(JointMode.RUNNING),) * 6
-
-_MEASURED: Final = (
-    "target_q",
-    "actual_q",
-    "actual_qd",
-    "actual_TCP_force",
-    "actual_current",
-    "target_current",
-    "joint_control_output",
-    "actual_robot_current",
-)
 
 _HISTORY: Final = 1000  # control periods of joint positions kept for programs
 _SETPOINTS: Final = 50_000  # executed servoj targets kept
@@ -71,25 +55,6 @@ _ENCODER_RAD: Final = 1e-12  # smallest motion that is measured: a solver leaves
 STEADY_RAD: Final = 0.01
 STEADY_RAD_S: Final = 0.001
 REDUCED_SPEED: Final = 0.5  # ratio of the speed in reduced mode; a real one depends on the safety configuration
-
-
-class ArmReading(NamedTuple):
-    """Measurements of one arm.
-
-    Attributes:
-        q_rad: (6,) joint positions.
-        qd_rad_s: (6,) joint speeds.
-        torque_nm: (6,) motor torques of the joints.
-        wrench: (6,) force and torque on the flange, N and N·m, along the axes of the arm's `base`, without the
-            gripper's own weight; zero where nothing measures it.
-        gripper_m: Gripper width; None without a gripper.
-    """
-
-    q_rad: Array
-    qd_rad_s: Array
-    torque_nm: Array
-    wrench: Array
-    gripper_m: float | None
 
 
 Setpoint = tuple[int, tuple[float, ...], float, float, float]
@@ -152,8 +117,10 @@ class Controller:
             profile.tick_s, substeps, q_rad, dh=dh, lookahead_scale=lookahead_scale, assumptions=profile.assumptions
         )
         self.payload = Payload(gripper_kg)
+        self.reading = ArmReading(np.array(q_rad, dtype=float), np.zeros(6), np.zeros(6), np.zeros(6), None)
+        self.previous = self.reading
+        self._values = ReportedValues(profile, dh, self.reading, self.motion)
         self.gripper_kg = gripper_kg
-        self._values = LiveValues(zero_values(profile), self._derived())
         self.overrides: dict[str, Any] = {}
         self._overridden: dict[str, Any] = {}
         self.remote_control: bool | None = True  # None: its settings offer none, as those of URSim do
@@ -174,10 +141,6 @@ class Controller:
         self.program = ProgramRunner(
             profile, self.motion, builtins(self), self._script_failed, self._announce, self.sockets.close_all
         )
-        self.reading = ArmReading(np.array(q_rad, dtype=float), np.zeros(6), np.zeros(6), np.zeros(6), None)
-        self.previous = self.reading
-        self._shown = _Shown(self.reading, self.reading.q_rad, self.motion, np.zeros(6), self.wrench)
-        self._constant_values()
         self._publish(np.zeros(6))
 
     @property
@@ -363,25 +326,11 @@ class Controller:
             self.wrench = np.array(self.io.external_wrench)
         self.history.append(tuple(reading.q_rad.tolist()))
 
-    def _constant_values(self) -> None:
-        values = self._values
-        values.update(
-            joint_temperatures=(30.0,) * 6,
-            actual_main_voltage=48.0,
-            actual_robot_voltage=48.0,
-            actual_joint_voltage=(48.0,) * 6,
-            actual_tool_accelerometer=(0.0, 0.0, GRAVITY_M_S2),
-            tool_temperature=30.0,
-            tool_mode=int(JointMode.RUNNING),
-            actual_execution_time=0.0,
-        )
-
     def _publish(self, qdd: Array) -> None:
         """Update the values that are reported to clients."""
-        values, motion, reading, program, safety = self._values, self.motion, self.reading, self.program, self.safety
+        values, program, safety = self._values, self.program, self.safety
         running = safety.robot_mode == RobotMode.RUNNING
-        self._shown = _Shown(reading, self._shown.reading.q_rad, motion, qdd, self.wrench)
-        values.forget()
+        values.renew(self.reading, self.motion, qdd, self.wrench)
         values["timestamp"] = self.time_s
         values["actual_digital_input_bits"] = self.io.inputs
         values["actual_digital_output_bits"] = self.io.outputs
@@ -400,43 +349,8 @@ class Controller:
         values["payload_cog"] = self.payload.cog_m
         values["payload_inertia"] = self.payload.inertia_kg_m2
         if "tcp_offset" in values:
-            values["tcp_offset"] = motion.tcp
+            values["tcp_offset"] = self.motion.tcp
         values.update(self.overrides)
-
-    def _derived(self) -> dict[tuple[str, ...], Callable[[], tuple[Any, ...]]]:
-        """Return functions of values that are computed when somebody reads them, by the names of these values."""
-        return {
-            _MEASURED: self._measured,
-            ("target_qd",): lambda: (_numbers(self._shown.target_qd),),
-            ("target_qdd",): lambda: (_numbers(self._shown.target_qdd),),
-            ("target_moment",): lambda: (_numbers(self._shown.reading.torque_nm),),
-            ("actual_TCP_pose", "actual_TCP_speed"): lambda: self._shown.actual_tcp(),
-            ("target_TCP_pose", "target_TCP_speed"): lambda: self._shown.target_tcp(),
-            ("elbow_position", "elbow_velocity"): self._elbow,
-            ("tcp_force_scalar",): lambda: (float(np.linalg.norm(self._shown.wrench[:3])),),
-            ("ft_raw_wrench",): lambda: (_numbers(self._shown.reading.wrench),),
-            ("actual_current_as_torque",): lambda: (_numbers(self._shown.reading.torque_nm),),
-        }
-
-    def _measured(self) -> tuple[Any, ...]:
-        shown = self._shown
-        current = shown.reading.torque_nm / _NM_PER_A
-        of_joints = _numbers(current)
-        return (
-            _numbers(shown.target_q),
-            _numbers(shown.reading.q_rad),
-            _numbers(shown.reading.qd_rad_s),
-            _numbers(shown.wrench),
-            of_joints,
-            of_joints,
-            of_joints,
-            0.5 + 0.1 * float(np.abs(current).sum()),
-        )
-
-    def _elbow(self) -> tuple[Any, ...]:
-        elbow = elbow_and_flange_position(self._shown.reading.q_rad, self.dh.robot)[0]
-        before = elbow_and_flange_position(self._shown.q_before, self.dh.robot)[0]
-        return _numbers(elbow), _numbers((elbow - before) / self.profile.tick_s)
 
     @property
     def robot_bits(self) -> RobotBits:
@@ -486,72 +400,6 @@ class Controller:
         if self.safety.demand is not Demand.NONE:
             raise OperationRefusedError("the arm is stopped or has no power")
         self.program.play()
-
-
-class LiveValues(dict[str, Any]):
-    """Values by name, of which some are computed when they are read first after `forget`.
-
-    Args:
-        values: Values of all names.
-        derived: Functions of the derived values by their names; names that are not among `values` are skipped.
-    """
-
-    def __init__(
-        self, values: Mapping[str, Any], derived: Mapping[tuple[str, ...], Callable[[], tuple[Any, ...]]]
-    ) -> None:
-        super().__init__(values)
-        self._sources = {name: (names, source) for names, source in derived.items() for name in names if name in values}
-
-    def __missing__(self, name: str) -> Any:
-        names, source = self._sources[name]
-        for each, value in zip(names, source(), strict=True):
-            if each in self._sources:
-                self.setdefault(each, value)  # an override stays
-        return self[name]
-
-    def forget(self) -> None:
-        """Forget the derived values: what they are derived from has changed."""
-        for name in self._sources:
-            self.pop(name, None)
-
-    def complete(self) -> None:
-        """Compute all derived values that were not read yet."""
-        for name in self._sources:
-            if name not in self:
-                self.__missing__(name)
-
-
-class _Shown:
-    """State of one control period from which reported values are derived.
-
-    Args:
-        reading: Measurements.
-        q_before: (6,) joint positions one control period before.
-        motion: Reference motion.
-        target_qdd: (6,) its mean accelerations.
-        wrench: (6,) force and torque at the TCP.
-    """
-
-    __slots__ = ("_arm", "_tool", "q_before", "reading", "target_q", "target_qd", "target_qdd", "wrench")
-
-    def __init__(
-        self, reading: ArmReading, q_before: Array, motion: MotionGenerator, target_qdd: Array, wrench: Array
-    ) -> None:
-        self.reading, self.q_before, self.wrench = reading, q_before, wrench
-        self.target_q, self.target_qd, self.target_qdd = motion.q, motion.qd, target_qdd
-        self._arm, self._tool = motion.arm, motion.tool
-
-    def actual_tcp(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Return pose (6,) and speed (6,) of the TCP of the arm."""
-        return self._arm.pose_and_speed(self.reading.q_rad, self.reading.qd_rad_s, self._tool)
-
-    def target_tcp(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Return pose (6,) and speed (6,) of the TCP of the reference motion."""
-        return self._arm.pose_and_speed(self.target_q, self.target_qd, self._tool)
-
-
-def _numbers(array: Array) -> tuple[float, ...]:
-    return tuple(array.tolist())
 
 
 def _joint_mode(mode: RobotMode) -> JointMode:

@@ -18,7 +18,7 @@ from ur_core.mjcf.gains import STIFF, gains_of
 from ur_core.mjcf.torque_control import TorqueControl, Torques
 from ur_core.tools.tool import Tool
 from ur_core.types import Array
-from ur_emulator.controller.controller import ArmReading
+from ur_emulator.controller.reported_values import ArmReading
 from ur_emulator.motion import JointTorques
 from ur_emulator.world.plant import PlantOptions
 from ur_emulator.world.world import Delay, Hand

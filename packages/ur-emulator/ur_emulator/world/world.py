@@ -10,7 +10,7 @@ import numpy as np
 from ur_core.kinematics.frames import ArmMount
 from ur_core.tools.tool import Tool
 from ur_core.types import Array, constant
-from ur_emulator.controller.controller import ArmReading
+from ur_emulator.controller.reported_values import ArmReading
 from ur_emulator.motion import JointTorques
 
 NO_WRENCH: Final = constant(np.zeros(6))

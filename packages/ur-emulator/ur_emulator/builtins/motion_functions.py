@@ -6,6 +6,7 @@ from collections.abc import Callable, Generator, Sequence
 from typing import Any, Final
 
 from ur_core.errors import MotionError
+from ur_emulator.builtins.functions import Functions
 from ur_emulator.controller.controller import Controller
 from ur_emulator.motion import Handle
 from ur_emulator.script import Builtins, Pose
@@ -95,95 +96,94 @@ def pose_of(controller: Controller, target: Sequence[float]) -> list[float]:
     return [float(each) for each in controller.motion.tcp_pose(joints_of(controller, target))]
 
 
-def motion_builtins(controller: Controller, owner: MotionOwner) -> Builtins:
-    """Return the functions by name."""
-    motion, tick_s = controller.motion, controller.profile.tick_s
+class _MotionFunctions(Functions):
+    """Functions that move the arm, or let it be moved."""
 
-    def movej(q: Any, a: float = 1.4, v: float = 1.05, t: float = 0, r: float = 0) -> Blocking:
-        joints = joints_of(controller, q)
-        yield from owner.follow(lambda: motion.move_joints(joints, a, v, t, r))
+    def __init__(self, controller: Controller, owner: MotionOwner) -> None:
+        super().__init__(controller)
+        self._owner = owner
 
-    def movel(pose: Any, a: float = 1.2, v: float = 0.25, t: float = 0, r: float = 0) -> Blocking:
-        target = pose_of(controller, pose)
-        yield from owner.follow(lambda: motion.move_linear(target, a, v, t, r))
+    def movej(self, q: Any, a: float = 1.4, v: float = 1.05, t: float = 0, r: float = 0) -> Blocking:
+        joints = joints_of(self._controller, q)
+        yield from self._owner.follow(lambda: self._motion.move_joints(joints, a, v, t, r))
 
-    def movep(pose: Any, a: float = 1.2, v: float = 0.25, r: float = 0) -> Blocking:
-        target = pose_of(controller, pose)
-        yield from owner.follow(lambda: motion.move_process(target, a, v, r))
+    def movel(self, pose: Any, a: float = 1.2, v: float = 0.25, t: float = 0, r: float = 0) -> Blocking:
+        target = pose_of(self._controller, pose)
+        yield from self._owner.follow(lambda: self._motion.move_linear(target, a, v, t, r))
 
-    def movec(pose_via: Any, pose_to: Any, a: float = 1.2, v: float = 0.25, r: float = 0, mode: int = 0) -> Blocking:
-        via, to = pose_of(controller, pose_via), pose_of(controller, pose_to)
-        yield from owner.follow(lambda: motion.move_circular(via, to, a, v, r))
+    def movep(self, pose: Any, a: float = 1.2, v: float = 0.25, r: float = 0) -> Blocking:
+        target = pose_of(self._controller, pose)
+        yield from self._owner.follow(lambda: self._motion.move_process(target, a, v, r))
+
+    def movec(
+        self, pose_via: Any, pose_to: Any, a: float = 1.2, v: float = 0.25, r: float = 0, mode: int = 0
+    ) -> Blocking:
+        via, to = pose_of(self._controller, pose_via), pose_of(self._controller, pose_to)
+        yield from self._owner.follow(lambda: self._motion.move_circular(via, to, a, v, r))
 
     def servoj(
-        q: Any, a: float = 0, v: float = 0, t: float = tick_s, lookahead_time: float = 0.1, gain: float = 300
+        self, q: Any, a: float = 0, v: float = 0, t: float | None = None, lookahead_time: float = 0.1, gain: float = 300
     ) -> Blocking:
-        joints = joints_of(controller, q)
+        joints, t = joints_of(self._controller, q), self._controller.profile.tick_s if t is None else t
 
         def start() -> Handle:
-            handle = motion.servo_joints(joints, t, lookahead_time, gain)
-            if motion.fault is None:
-                controller.note_setpoint(joints, t, lookahead_time, gain)
+            handle = self._motion.servo_joints(joints, t, lookahead_time, gain)
+            if self._motion.fault is None:
+                self._controller.note_setpoint(joints, t, lookahead_time, gain)
             return handle
 
-        yield from owner.follow(start)
+        yield from self._owner.follow(start)
 
-    def servoc(pose: Any, a: float = 1.2, v: float = 0.25, r: float = 0) -> Blocking:
-        target = pose_of(controller, pose)
-        yield from owner.follow(lambda: motion.servo_circular(target, a, v, r))
+    def servoc(self, pose: Any, a: float = 1.2, v: float = 0.25, r: float = 0) -> Blocking:
+        target = pose_of(self._controller, pose)
+        yield from self._owner.follow(lambda: self._motion.servo_circular(target, a, v, r))
 
-    def speedj(qd: Any, a: float = 1.4, t: float = 0) -> Blocking:
-        yield from owner.follow(lambda: motion.speed_joints(qd, a, t))
+    def speedj(self, qd: Any, a: float = 1.4, t: float = 0) -> Blocking:
+        yield from self._owner.follow(lambda: self._motion.speed_joints(qd, a, t))
 
-    def speedl(xd: Any, a: float = 1.2, t: float = 0, aRot: float = 0) -> Blocking:  # noqa: N803  # UR's name
-        yield from owner.follow(lambda: motion.speed_linear(xd, a, t, aRot or a))
+    def speedl(self, xd: Any, a: float = 1.2, t: float = 0, aRot: float = 0) -> Blocking:  # noqa: N803  # UR's name
+        yield from self._owner.follow(lambda: self._motion.speed_linear(xd, a, t, aRot or a))
 
-    def stopj(a: float) -> Blocking:
-        yield from owner.follow(lambda: motion.stop_joints(a))
+    def stopj(self, a: float) -> Blocking:
+        yield from self._owner.follow(lambda: self._motion.stop_joints(a))
 
-    def stopl(a: float, aRot: float = 0) -> Blocking:  # noqa: N803  # UR's name
-        yield from owner.follow(lambda: motion.stop_linear(a, aRot or a))
+    def stopl(self, a: float, aRot: float = 0) -> Blocking:  # noqa: N803  # UR's name
+        yield from self._owner.follow(lambda: self._motion.stop_linear(a, aRot or a))
 
-    def force_mode(task_frame: Any, selection_vector: Any, wrench: Any, type: int, limits: Any) -> None:
-        owner.check()
-        motion.force_mode(task_frame, selection_vector, wrench, type, limits)
+    def force_mode(self, task_frame: Any, selection_vector: Any, wrench: Any, type: int, limits: Any) -> None:
+        self._owner.check()
+        self._motion.force_mode(task_frame, selection_vector, wrench, type, limits)
 
-    def end_force_mode() -> None:
-        motion.end_force_mode()
+    def end_force_mode(self) -> None:
+        self._motion.end_force_mode()
 
-    def force_mode_set_damping(damping: float) -> None:
-        motion.force_mode_settings(damping=damping)
+    def force_mode_set_damping(self, damping: float) -> None:
+        self._motion.force_mode_settings(damping=damping)
 
-    def force_mode_set_gain_scaling(scaling: float) -> None:
-        if not controller.profile.at_least((5, 0)):
+    def force_mode_set_gain_scaling(self, scaling: float) -> None:
+        if not self._controller.profile.at_least((5, 0)):
             # A CB3 must know the name: the program of UR's client library has a call that it never reaches there.
             raise MotionError("force_mode_set_gain_scaling needs a robot of the e-Series")
-        motion.force_mode_settings(gain_scaling=scaling)
+        self._motion.force_mode_settings(gain_scaling=scaling)
 
-    def teach_mode() -> None:
-        owner.check()
-        motion.freedrive([1] * 6, [0.0] * 6)
+    def teach_mode(self) -> None:
+        self._owner.check()
+        self._motion.freedrive([1] * 6, [0.0] * 6)
 
-    def end_teach_mode() -> None:
-        motion.end_freedrive()
+    def end_teach_mode(self) -> None:
+        self._motion.end_freedrive()
 
-    def freedrive_mode(freeAxes: Any = (1, 1, 1, 1, 1, 1), feature: Any = (0.0,) * 6) -> None:  # noqa: N803
-        owner.check()
-        motion.freedrive(freeAxes, feature)
+    def freedrive_mode(self, freeAxes: Any = (1, 1, 1, 1, 1, 1), feature: Any = (0.0,) * 6) -> None:  # noqa: N803
+        self._owner.check()
+        self._motion.freedrive(freeAxes, feature)
 
-    def end_freedrive_mode() -> None:
-        motion.end_freedrive()
+    def end_freedrive_mode(self) -> None:
+        self._motion.end_freedrive()
 
-    def get_freedrive_status() -> int:
-        return int(motion.free)
+    def get_freedrive_status(self) -> int:
+        return int(self._motion.free)
 
-    functions: Builtins = {
-        each.__name__: each for each in (movej, movel, movep, movec, servoj, servoc, speedj, speedl, stopj, stopl)
-    }
-    functions |= {
-        each.__name__: each
-        for each in (force_mode, end_force_mode, teach_mode, end_teach_mode, freedrive_mode, end_freedrive_mode)
-    }
-    for each in (force_mode_set_damping, force_mode_set_gain_scaling, get_freedrive_status):
-        functions[each.__name__] = each
-    return functions
+
+def motion_builtins(controller: Controller, owner: MotionOwner) -> Builtins:
+    """Return the functions by name."""
+    return _MotionFunctions(controller, owner).by_name()

@@ -9,6 +9,7 @@ import numpy as np
 from ur_core.errors import MotionError
 from ur_core.kinematics.robots import robot_model
 from ur_core.kinematics.ur10 import JOINT_RANGE_RAD
+from ur_emulator.builtins.functions import Functions
 from ur_emulator.builtins.motion_functions import SOLUTION_STEPS, joints_of
 from ur_emulator.controller.controller import Controller
 from ur_emulator.script import Builtins, Pose
@@ -38,155 +39,167 @@ def _mass(m: Any, robot: str) -> float:
     return float(m)
 
 
-def robot_builtins(controller: Controller) -> Builtins:
-    """Return the functions by name."""
-    motion, values, payload = controller.motion, controller.values, controller.payload
-    contact = _Contact(controller)
+class _RobotFunctions(Functions):
+    """Functions about the arm."""
 
-    def get_actual_joint_positions() -> list[float]:
-        return [float(each) for each in controller.reading.q_rad]
+    def __init__(self, controller: Controller) -> None:
+        super().__init__(controller)
+        self._values, self._payload, self._contact = controller.values, controller.payload, _Contact(controller)
 
-    def get_target_joint_positions() -> list[float]:
-        return [float(each) for each in motion.q]
+    def get_actual_joint_positions(self) -> list[float]:
+        return [float(each) for each in self._controller.reading.q_rad]
 
-    def get_actual_joint_speeds() -> list[float]:
-        return [float(each) for each in controller.reading.qd_rad_s]
+    def get_target_joint_positions(self) -> list[float]:
+        return [float(each) for each in self._motion.q]
 
-    def get_target_joint_speeds() -> list[float]:
-        return [float(each) for each in motion.qd]
+    def get_actual_joint_speeds(self) -> list[float]:
+        return [float(each) for each in self._controller.reading.qd_rad_s]
 
-    def get_actual_joint_positions_history(steps: int = 0) -> list[float]:
-        history = controller.history
+    def get_target_joint_speeds(self) -> list[float]:
+        return [float(each) for each in self._motion.qd]
+
+    def get_actual_joint_positions_history(self, steps: int = 0) -> list[float]:
+        history = self._controller.history
         if not 0 <= steps < len(history):
             raise MotionError(f"joint positions of {steps} periods ago are not kept: there are {len(history)}")
         return list(history[-1 - int(steps)])
 
-    def get_actual_tcp_pose() -> Pose:
-        return Pose(motion.tcp_pose(controller.reading.q_rad))
+    def get_actual_tcp_pose(self) -> Pose:
+        return Pose(self._motion.tcp_pose(self._controller.reading.q_rad))
 
-    def get_target_tcp_pose() -> Pose:
-        return Pose(motion.tcp_pose(motion.q))
+    def get_target_tcp_pose(self) -> Pose:
+        return Pose(self._motion.tcp_pose(self._motion.q))
 
-    def get_target_waypoint() -> Pose:
-        return Pose(motion.tcp_pose(motion.waypoint))
+    def get_target_waypoint(self) -> Pose:
+        return Pose(self._motion.tcp_pose(self._motion.waypoint))
 
-    def get_actual_tcp_speed() -> list[float]:
-        return list(motion.tcp_speed(controller.reading.q_rad, controller.reading.qd_rad_s))
+    def get_actual_tcp_speed(self) -> list[float]:
+        return list(self._motion.tcp_speed(self._controller.reading.q_rad, self._controller.reading.qd_rad_s))
 
-    def get_target_tcp_speed() -> list[float]:
-        return [float(each) for each in motion.tcp_speed(motion.q, motion.qd)]
+    def get_target_tcp_speed(self) -> list[float]:
+        return [float(each) for each in self._motion.tcp_speed(self._motion.q, self._motion.qd)]
 
-    def get_actual_tool_flange_pose() -> Pose:
-        return Pose(motion.flange_pose(controller.reading.q_rad))
+    def get_actual_tool_flange_pose(self) -> Pose:
+        return Pose(self._motion.flange_pose(self._controller.reading.q_rad))
 
-    def get_forward_kin(q: Any = None, tcp: Any = None) -> Pose:
-        controller.spend(SOLUTION_STEPS // 5)
-        joints = motion.q if q is None else _six(q, "joint positions")
-        return Pose(motion.forward(joints, motion.tcp if tcp is None else _six(tcp, "a TCP")))
+    def get_forward_kin(self, q: Any = None, tcp: Any = None) -> Pose:
+        self._controller.spend(SOLUTION_STEPS // 5)
+        joints = self._motion.q if q is None else _six(q, "joint positions")
+        return Pose(self._motion.forward(joints, self._motion.tcp if tcp is None else _six(tcp, "a TCP")))
 
-    def _inverse(x: Any, qnear: Any, tcp: Any) -> Any:
-        controller.spend(SOLUTION_STEPS)
-        near = motion.q if qnear is None else _six(qnear, "joint positions")
-        return motion.inverse(_six(x, "a pose"), near, None if tcp is None else _six(tcp, "a TCP"))
+    def _inverse(self, x: Any, qnear: Any, tcp: Any) -> Any:
+        self._controller.spend(SOLUTION_STEPS)
+        near = self._motion.q if qnear is None else _six(qnear, "joint positions")
+        return self._motion.inverse(_six(x, "a pose"), near, None if tcp is None else _six(tcp, "a TCP"))
 
     def get_inverse_kin(
-        x: Any, qnear: Any = None, maxPositionError: float = 1e-10, maxOrientationError: float = 1e-10, tcp: Any = None
+        self,
+        x: Any,
+        qnear: Any = None,
+        maxPositionError: float = 1e-10,
+        maxOrientationError: float = 1e-10,
+        tcp: Any = None,
     ) -> list[float]:
-        found = _inverse(x, qnear, tcp)
+        found = self._inverse(x, qnear, tcp)
         if found is None:
             raise MotionError(f"get_inverse_kin found no joint positions for {_six(x, 'a pose')}")
         return [float(each) for each in found]
 
     def get_inverse_kin_has_solution(
+        self,
         pose: Any,
         qnear: Any = None,
         maxPositionError: float = 1e-10,
         maxOrientationError: float = 1e-10,
         tcp: Any = None,
     ) -> bool:
-        return _inverse(pose, qnear, tcp) is not None
+        return self._inverse(pose, qnear, tcp) is not None
 
-    def is_within_safety_limits(pose: Any) -> bool:
+    def is_within_safety_limits(self, pose: Any) -> bool:
         try:
-            q = joints_of(controller, pose)
+            q = joints_of(self._controller, pose)
         except MotionError:
             return False
         return bool((np.abs(q) <= JOINT_RANGE_RAD).all())
 
-    def is_steady() -> bool:
-        return controller.steady
+    def is_steady(self) -> bool:
+        return self._controller.steady
 
-    def get_steptime() -> float:
-        return controller.profile.tick_s
+    def get_steptime(self) -> float:
+        return self._controller.profile.tick_s
 
-    def get_joint_torques() -> list[float]:
-        return [float(each) for each in controller.reading.torque_nm]
+    def get_joint_torques(self) -> list[float]:
+        return [float(each) for each in self._controller.reading.torque_nm]
 
-    def get_tcp_force() -> list[float]:
-        return [float(each) for each in controller.wrench]
+    def get_tcp_force(self) -> list[float]:
+        return [float(each) for each in self._controller.wrench]
 
-    def force() -> float:
-        return float(np.linalg.norm(controller.wrench[:3]))
+    def force(self) -> float:
+        return float(np.linalg.norm(self._controller.wrench[:3]))
 
-    def get_joint_temp(j: int) -> float:
-        return float(values["joint_temperatures"][j])
+    def get_joint_temp(self, j: int) -> float:
+        return float(self._values["joint_temperatures"][j])
 
-    def get_controller_temp() -> float:
+    def get_controller_temp(self) -> float:
         return 30.0
 
-    def zero_ftsensor() -> None:
-        controller.zero_wrench()
+    def zero_ftsensor(self) -> None:
+        self._controller.zero_wrench()
 
-    def set_tcp(pose: Any) -> None:
-        motion.set_tcp(_six(pose, "a TCP"))
+    def set_tcp(self, pose: Any) -> None:
+        self._motion.set_tcp(_six(pose, "a TCP"))
 
-    def get_tcp_offset() -> Pose:
-        return Pose(motion.tcp)
+    def get_tcp_offset(self) -> Pose:
+        return Pose(self._motion.tcp)
 
-    def set_payload(m: float, cog: Any = (0.0, 0.0, 0.0)) -> None:
-        mass, place = _mass(m, controller.dh.robot), tuple(_numbers(cog, 3, "a centre of gravity"))
-        payload.mass_kg, payload.cog_m = mass, place
+    def set_payload(self, m: float, cog: Any = (0.0, 0.0, 0.0)) -> None:
+        mass, place = _mass(m, self._controller.dh.robot), tuple(_numbers(cog, 3, "a centre of gravity"))
+        self._payload.mass_kg, self._payload.cog_m = mass, place
 
-    def set_payload_mass(m: float) -> None:
-        set_payload(m, payload.cog_m)
+    def set_payload_mass(self, m: float) -> None:
+        self.set_payload(m, self._payload.cog_m)
 
-    def set_payload_cog(CoG: Any) -> None:
-        set_payload(payload.mass_kg, CoG)
+    def set_payload_cog(self, CoG: Any) -> None:
+        self.set_payload(self._payload.mass_kg, CoG)
 
-    def set_target_payload(m: float, cog: Any, inertia: Any = (0.0,) * 6, transition_time: float = 0.0) -> None:
+    def set_target_payload(self, m: float, cog: Any, inertia: Any = (0.0,) * 6, transition_time: float = 0.0) -> None:
         moments = tuple(_six(inertia, "an inertia"))
-        set_payload(m, cog)
-        payload.inertia_kg_m2 = moments
+        self.set_payload(m, cog)
+        self._payload.inertia_kg_m2 = moments
 
-    def get_target_payload() -> float:
-        return payload.mass_kg
+    def get_target_payload(self) -> float:
+        return self._payload.mass_kg
 
-    def get_target_payload_cog() -> list[float]:
-        return list(payload.cog_m)
+    def get_target_payload_cog(self) -> list[float]:
+        return list(self._payload.cog_m)
 
-    def get_target_payload_inertia() -> list[float]:
-        return list(payload.inertia_kg_m2)
+    def get_target_payload_inertia(self) -> list[float]:
+        return list(self._payload.inertia_kg_m2)
 
-    def set_gravity(d: Any) -> None:
+    def set_gravity(self, d: Any) -> None:
         _numbers(d, 3, "gravity")  # without effect: the arms stand upright in every emulated cell
 
     def enable_external_ft_sensor(
-        enable: bool, sensor_mass: float = 0.0, sensor_measuring_offset: Any = (0.0,) * 3, sensor_cog: Any = (0.0,) * 3
+        self,
+        enable: bool,
+        sensor_mass: float = 0.0,
+        sensor_measuring_offset: Any = (0.0,) * 3,
+        sensor_cog: Any = (0.0,) * 3,
     ) -> None:
-        controller.external_sensor = bool(enable)
+        self._controller.external_sensor = bool(enable)
 
-    def protective_stop() -> None:
-        controller.protective_stop("C209A0", "the program asked for it")
+    def protective_stop(self) -> None:
+        self._controller.protective_stop("C209A0", "the program asked for it")
 
-    def tool_contact(direction: Any = (0.0,) * 6) -> int:
-        return contact.steps(_six(direction, "a direction"))
+    def tool_contact(self, direction: Any = (0.0,) * 6) -> int:
+        return self._contact.steps(_six(direction, "a direction"))
 
-    own = dict(locals())
-    functions: Builtins = {
-        name: value for name, value in own.items() if callable(value) and not name.startswith("_") and name != "contact"
-    }
-    functions["ft_rtde_input_enable"] = enable_external_ft_sensor
-    functions["get_joint_positions"] = get_actual_joint_positions  # its name in older programs
+
+def robot_builtins(controller: Controller) -> Builtins:
+    """Return the functions by name."""
+    functions = _RobotFunctions(controller).by_name()
+    functions["ft_rtde_input_enable"] = functions["enable_external_ft_sensor"]
+    functions["get_joint_positions"] = functions["get_actual_joint_positions"]  # its name in older programs
     return functions
 
 

@@ -12,6 +12,7 @@ import struct
 from collections.abc import Callable, Generator
 from typing import Any, Final, TypeVar
 
+from ur_emulator.builtins.functions import Functions
 from ur_emulator.controller.controller import Controller
 from ur_emulator.controller.script_sockets import CONNECT_S, ScriptSockets, discard
 from ur_emulator.script import Builtins, text
@@ -95,38 +96,41 @@ class _Streams:
             yield
 
 
-def socket_builtins(controller: Controller) -> Builtins:
-    """Return the functions by name."""
-    streams = _Streams(controller)
+class _SocketFunctions(Functions):
+    """Functions for connections."""
 
-    def socket_open(address: Any, port: Any, socket_name: str = _NAME) -> Blocking[bool]:
-        return (yield from streams.open(address, port, socket_name))
+    def __init__(self, controller: Controller) -> None:
+        super().__init__(controller)
+        self._streams = _Streams(controller)
 
-    def socket_close(socket_name: str = _NAME) -> None:
-        controller.sockets.close(socket_name)
+    def socket_open(self, address: Any, port: Any, socket_name: str = _NAME) -> Blocking[bool]:
+        return (yield from self._streams.open(address, port, socket_name))
+
+    def socket_close(self, socket_name: str = _NAME) -> None:
+        self._controller.sockets.close(socket_name)
 
     def socket_read_binary_integer(
-        number: int, socket_name: str = _NAME, timeout: float = _TIMEOUT_S
+        self, number: int, socket_name: str = _NAME, timeout: float = _TIMEOUT_S
     ) -> Blocking[list[Any]]:
         count = _count(number)
 
         def take(data: bytearray) -> list[Any] | None:
             return None if len(data) < 4 * count else [count, *struct.unpack(f">{count}i", _pop(data, 4 * count))]
 
-        return (yield from streams.read(take, socket_name, timeout, [0, *[-1] * count]))
+        return (yield from self._streams.read(take, socket_name, timeout, [0, *[-1] * count]))
 
     def socket_read_byte_list(
-        number: int, socket_name: str = _NAME, timeout: float = _TIMEOUT_S
+        self, number: int, socket_name: str = _NAME, timeout: float = _TIMEOUT_S
     ) -> Blocking[list[Any]]:
         count = _count(number)
 
         def take(data: bytearray) -> list[Any] | None:
             return None if len(data) < count else [count, *_pop(data, count)]
 
-        return (yield from streams.read(take, socket_name, timeout, [0, *[-1] * count]))
+        return (yield from self._streams.read(take, socket_name, timeout, [0, *[-1] * count]))
 
     def socket_read_ascii_float(
-        number: int, socket_name: str = _NAME, timeout: float = _TIMEOUT_S
+        self, number: int, socket_name: str = _NAME, timeout: float = _TIMEOUT_S
     ) -> Blocking[list[Any]]:
         count = _count(number)
         failed = [0, *[math.nan] * count]
@@ -142,12 +146,13 @@ def socket_builtins(controller: Controller) -> Builtins:
                 return failed
             return [len(found), *found, *[math.nan] * (count - len(found))]
 
-        return (yield from streams.read(take, socket_name, timeout, failed))
+        return (yield from self._streams.read(take, socket_name, timeout, failed))
 
-    def socket_read_line(socket_name: str = _NAME, timeout: float = _TIMEOUT_S) -> Blocking[str]:
-        return (yield from streams.read(_line, socket_name, timeout, ""))
+    def socket_read_line(self, socket_name: str = _NAME, timeout: float = _TIMEOUT_S) -> Blocking[str]:
+        return (yield from self._streams.read(_line, socket_name, timeout, ""))
 
     def socket_read_string(
+        self,
         socket_name: str = _NAME,
         prefix: str = "",
         suffix: str = "",
@@ -166,33 +171,35 @@ def socket_builtins(controller: Controller) -> Builtins:
             del data[: first + len(found) + len(end)]
             return _limited(found)
 
-        return (yield from streams.read(take, socket_name, timeout, ""))
+        return (yield from self._streams.read(take, socket_name, timeout, ""))
 
-    def socket_get_var(name: str, socket_name: str = _NAME) -> Blocking[int]:
-        if not (yield from streams.send(_bytes(f"GET {name}\n"), socket_name)):
+    def socket_get_var(self, name: str, socket_name: str = _NAME) -> Blocking[int]:
+        if not (yield from self._streams.send(_bytes(f"GET {name}\n"), socket_name)):
             yield
             return 0
-        line = yield from streams.read(_line, socket_name, _TIMEOUT_S, "")
+        line = yield from self._streams.read(_line, socket_name, _TIMEOUT_S, "")
         found = re.fullmatch(rf"{re.escape(name)}\s+([+-]?\d{{1,10}})\s*", line)
         return 0 if found is None else int(found[1])
 
-    def socket_set_var(name: str, value: int, socket_name: str = _NAME) -> Blocking[None]:
-        yield from streams.send(_bytes(f"SET {name} {integer(value)}\n"), socket_name)
+    def socket_set_var(self, name: str, value: int, socket_name: str = _NAME) -> Blocking[None]:
+        yield from self._streams.send(_bytes(f"SET {name} {integer(value)}\n"), socket_name)
 
-    def socket_send_byte(value: int, socket_name: str = _NAME) -> Blocking[bool]:
-        return (yield from streams.send(bytes([_byte(value)]), socket_name))
+    def socket_send_byte(self, value: int, socket_name: str = _NAME) -> Blocking[bool]:
+        return (yield from self._streams.send(bytes([_byte(value)]), socket_name))
 
-    def socket_send_int(value: int, socket_name: str = _NAME) -> Blocking[bool]:
-        return (yield from streams.send(struct.pack(">i", integer(value)), socket_name))
+    def socket_send_int(self, value: int, socket_name: str = _NAME) -> Blocking[bool]:
+        return (yield from self._streams.send(struct.pack(">i", integer(value)), socket_name))
 
-    def socket_send_line(str: Any, socket_name: str = _NAME) -> Blocking[bool]:
-        return (yield from streams.send(_bytes(text(str)) + b"\n", socket_name))
+    def socket_send_line(self, str: Any, socket_name: str = _NAME) -> Blocking[bool]:
+        return (yield from self._streams.send(_bytes(text(str)) + b"\n", socket_name))
 
-    def socket_send_string(str: Any, socket_name: str = _NAME) -> Blocking[bool]:
-        return (yield from streams.send(_bytes(text(str)), socket_name))
+    def socket_send_string(self, str: Any, socket_name: str = _NAME) -> Blocking[bool]:
+        return (yield from self._streams.send(_bytes(text(str)), socket_name))
 
-    own = dict(locals())
-    return {name: function for name, function in own.items() if name.startswith("socket_")}
+
+def socket_builtins(controller: Controller) -> Builtins:
+    """Return the functions by name."""
+    return _SocketFunctions(controller).by_name()
 
 
 def _count(number: Any) -> int:

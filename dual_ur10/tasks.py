@@ -10,18 +10,9 @@ It holds names only; each is documented where it is defined.
 
 from dual_ur10.assets.prop import Camera, HeldCapsule, Prop
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, home_q_rad
-from dual_ur10.envs.tasks.geometry import (
-    PICKING,
-    FrameDistances,
-    Goal,
-    GoalSteps,
-    Grasped,
-    Grasps,
-    Number,
-    numbers,
-    ratio,
-)
+from dual_ur10.envs.tasks.geometry import PICKING, FrameDistances, Goal, GoalSteps, Number, numbers, ratio
 from dual_ur10.envs.tasks.grasping import GraspingTask, Grip
+from dual_ur10.envs.tasks.grasps import Grasped, Grasps
 from dual_ur10.envs.tasks.observation_layout import (
     ARM_FIELDS,
     Field,

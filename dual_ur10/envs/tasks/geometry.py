@@ -1,4 +1,4 @@
-"""Geometry of tasks with objects: grasps, steps of tools to their goals, and distances of poses.
+"""Geometry of tasks with objects: steps of tools to their goals, and distances of poses.
 
 Tasks call these for all rows at once. Results are named arrays. The kernel does the arithmetic, row by row: a row does
 not depend on the others.
@@ -22,9 +22,8 @@ from ur_core.kinematics.forward import links
 from ur_core.kinematics.frames import ArmMount, Frames
 from ur_core.kinematics.poses import Poses, yaw_quat
 from ur_core.kinematics.rotations import quat_to_matrix, rotate
-from ur_core.kinematics.ur10 import ARMS
-from ur_core.tools.tool import Tool, levers_m, strokes_m
-from ur_core.types import Array, Mask
+from ur_core.tools.tool import levers_m
+from ur_core.types import Array
 
 APPROACH_M: Final = 0.1
 """Length of the straight approach of a tool to its grip."""
@@ -47,9 +46,6 @@ SAME: Final = Poses(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
 KEEP: Final = 3.0
 """Factor of the tolerances within which fingers that have begun to close go on."""
 
-_WIDTH_MARGIN_M: Final = 0.001  # of fingers that an object stops
-CLEARANCE_M: Final = 0.007
-"""Width on both sides together by which open fingers are clear of an object."""
 _ARRIVED_M: Final = 0.01  # of the goal: there fingers close or open
 _ARRIVED: Final = 0.08  # the same of its rotation, as a chord
 _ASIDE: Final = 1.5  # m behind the grip for each m beside the line
@@ -73,129 +69,6 @@ def lying(where: Array, height_m: float) -> Poses:
     position = np.array(where, dtype=np.float64)
     position[:, 2] = height_m / 2
     return Poses(position, yaw_quat(where[:, 2]))
-
-
-def _between_m(tool: Tool) -> list[float]:
-    """Return the largest distances of a grip between the fingers from the tool centre point, along the tool's axes."""
-    return [0.06, tool.stroke_m / 4, tool.pad_m[2] * 0.75]
-
-
-class Grasped(NamedTuple):
-    """Both arms and k objects, relative to each other.
-
-    A frame is 12 numbers: a position in m, then a rotation matrix by rows. The columns of the matrix are the axes.
-
-    Attributes:
-        tools: (n, 2, 12) frames of the tools in the cell frame.
-        frames: (n, k, 12) frames of the objects in the cell frame.
-        other_flange: (n, 2, 7) pose of the other flange in each flange's frame: position and quaternion.
-        grip_in_tool_m: (n, 2, 3) position of each arm's grip on its object, in its tool's frame.
-        between: (n, 2) True if the grip is between the fingers of its gripper, open or closed.
-        holding: (n, 2) True if the fingers hold the object there.
-        opened: (n, 2) 0 for fingers at the object's width or below it, to 1 fully open.
-        closed: (n, 2) 1 for fingers at the object's width, 0 fully open or closed beyond it.
-        cleared: (n, 2) 0 for fingers at the object's width to 1 once they are clear of it, 7 mm wider.
-        in_bases: (n, 2, k, 7) poses of the objects in the `base` frame of each arm.
-    """
-
-    tools: Array
-    frames: Array
-    other_flange: Array
-    grip_in_tool_m: Array
-    between: Mask
-    holding: Mask
-    opened: Array
-    closed: Array
-    cleared: Array
-    in_bases: Array
-
-
-class Grasps:
-    """Measurement of grasps in n cells.
-
-    Args:
-        frames: Frames of both arms.
-        grip_m: (n, 2, 3) position of each arm's grip in the frame of its object; later changes count.
-        width_m: Width of the object at both grips, or at each.
-        objects: Number k of objects, or of other poses.
-        held: Index of the object that each arm grips.
-        tools: Tools of both arms.
-
-    Raises:
-        SettingsError: A tool does not open beyond the object and `CLEARANCE_M`, or an index is beyond the objects.
-    """
-
-    def __init__(
-        self,
-        frames: Frames,
-        grip_m: Array,
-        width_m: float | tuple[float, float],
-        objects: int,
-        held: tuple[int, int] = (0, 0),
-        tools: tuple[Tool, Tool] = DEFAULT_TOOLS,
-    ) -> None:
-        _check_indices("held", held, objects)
-        widths_m = np.broadcast_to(np.asarray(width_m, dtype=np.float64), 2).copy()
-        for arm, tool, width in zip(ARMS, tools, widths_m.tolist(), strict=True):
-            if tool.stroke_m < width + CLEARANCE_M:
-                raise SettingsError(
-                    f"the {arm} tool {tool.name!r} opens by {tool.stroke_m:g} m: to take and leave an object of "
-                    f"{width:g} m it needs {width + CLEARANCE_M:g} m or more. Mount another tool"
-                )
-        n = len(grip_m)
-        self._flange_m, self._flange_quat = np.zeros((n, 2, 3)), np.zeros((n, 2, 4))
-        self._opening_m, self._poses = np.zeros((n, 2)), np.zeros((n, objects, 7))
-        # Each an array of its own: a pickled structure shares whole arrays, but no views.
-        shapes = (2, 12), (objects, 12), (2, 7), (2, 3), *[(2,)] * 5, (2, objects, 7)
-        self._found = found = Grasped._make(np.zeros((n, *shape)) for shape in shapes)
-        struct = Struct(
-            "Grasps",
-            n=n,
-            objects=objects,
-            width_margin_m=_WIDTH_MARGIN_M,
-            tcp_m=np.array([each.tcp_m for each in tools]),
-            between_m=np.array([_between_m(each) for each in tools]),
-            width_m=widths_m,
-            held=np.array(held, dtype=np.int64),
-            most_m=np.array(strokes_m(tools)),
-            clearance_m=CLEARANCE_M,
-            base_m=frames.base_m,
-            to_base=np.ascontiguousarray(frames.rotation),
-            quat_to_base=frames.quat_products,
-            grip_m=grip_m,
-            flange_m=self._flange_m,
-            flange_quat=self._flange_quat,
-            opening_m=self._opening_m,
-            poses=self._poses,
-            **found._asdict(),
-        )
-        self._measure = RowLoop("grasps_measure", struct, n, 1)
-
-    def __call__(self, flanges: Poses, opening_m: Array | None, poses: Array) -> Grasped:
-        """Measure flanges, (n, 2, ...), openings, (n, 2), and objects, (n, k, 7), in the cell frame.
-
-        Args:
-            flanges: Poses of both flanges.
-            opening_m: Widths between the fingers; None: nothing that is welded has one.
-            poses: Position and quaternion of each object.
-        """
-        self._flange_m[...], self._flange_quat[...], self._poses[...] = *flanges, poses
-        if opening_m is not None:
-            self._opening_m[...] = opening_m
-        self._measure()
-        tools, frames, other_flange, grip_in_tool_m, between, holding, opened, closed, cleared, in_bases = self._found
-        return Grasped(
-            tools.copy(),
-            frames.copy(),
-            other_flange.copy(),
-            grip_in_tool_m.copy(),
-            between > 0.0,
-            holding > 0.0,
-            opened.copy(),
-            closed.copy(),
-            cleared.copy(),
-            in_bases.copy(),
-        )
 
 
 TOOL: Final = -1
@@ -284,7 +157,7 @@ class GoalSteps:
         in_bases: bool = False,
         tcp_m: Sequence[float] = (0.0, 0.0),
     ) -> None:
-        _check_indices("frame of a goal", [each.frame for each in goals], frames + 1, TOOL)
+        check_indices("frame of a goal", [each.frame for each in goals], frames + 1, TOOL)
         self._goals = len(goals)
         self.tools: Array = np.zeros((n, 2, 12))
         self.actual: Array = np.zeros((n, 2, 12))
@@ -295,23 +168,7 @@ class GoalSteps:
         vectors, values = ([np.zeros((n, 2, *size)) for _ in range(count)] for count, size in ((2, (3,)), (4, ())))
         self._found = ToolSteps(*vectors, *values)
         self._q_rad = np.zeros((n, 2, 6))
-        arms = None
-        if mounts is not None:
-            both = Frames(mounts)
-            arms = Struct(
-                "ArmTools",
-                n=n,
-                links=np.stack([links(mount.dh) for mount in mounts]),
-                tcp_m=np.array(tcp_m, dtype=np.float64),
-                base_m=np.zeros((2, 3)) if in_bases else both.base_m,
-                to_base=np.tile(np.eye(3), (2, 1, 1)) if in_bases else np.ascontiguousarray(both.rotation),
-                near_m=NEAR_M,
-                near=NEAR,
-                q_rad=self._q_rad,
-                tools=self.tools,
-                actual=self.actual,
-                **self.nearby._asdict(),
-            )
+        arms = None if mounts is None else self._arm_tools(mounts, in_bases, tcp_m)
         struct = Struct(
             "GoalSteps",
             n=n,
@@ -339,6 +196,24 @@ class GoalSteps:
         )
         self._of_joints, self._compute = arms is not None, RowLoop("goal_steps", struct, n, 1)
 
+    def _arm_tools(self, mounts: tuple[ArmMount, ArmMount], in_bases: bool, tcp_m: Sequence[float]) -> Struct:
+        """Return the structure that computes the tools from joint positions."""
+        both = Frames(mounts)
+        return Struct(
+            "ArmTools",
+            n=len(self.tools),
+            links=np.stack([links(mount.dh) for mount in mounts]),
+            tcp_m=np.array(tcp_m, dtype=np.float64),
+            base_m=np.zeros((2, 3)) if in_bases else both.base_m,
+            to_base=np.tile(np.eye(3), (2, 1, 1)) if in_bases else np.ascontiguousarray(both.rotation),
+            near_m=NEAR_M,
+            near=NEAR,
+            q_rad=self._q_rad,
+            tools=self.tools,
+            actual=self.actual,
+            **self.nearby._asdict(),
+        )
+
     def __call__(
         self,
         tools: Array,
@@ -364,7 +239,7 @@ class GoalSteps:
         if goal is not None:
             self._goal[:, 0], self._goal[:, 1] = goal
             if np.count_nonzero((self._goal < 0) | (self._goal >= self._goals)):
-                _check_indices("goal", self._goal.ravel().tolist(), self._goals)
+                check_indices("goal", self._goal.ravel().tolist(), self._goals)
         if rise_m is not None:
             self._rise_m[:, 0], self._rise_m[:, 1] = rise_m
         if error_m is not None:
@@ -392,7 +267,7 @@ class FrameDistances:
     """
 
     def __init__(self, n: int, frames: int, of: Sequence[int]) -> None:
-        _check_indices("of", of, frames)
+        check_indices("of", of, frames)
         self.others: Array = np.zeros((n, len(of), 12))
         self._frames, self._found = np.zeros((n, frames, 12)), [np.zeros((n, len(of))) for _ in range(3)]
         moved_m, chord, axis_rad = self._found
@@ -418,7 +293,7 @@ class FrameDistances:
         return moved_m, chord, axis_rad
 
 
-def _check_indices(what: str, found: Sequence[int], count: int, least: int = 0) -> None:
+def check_indices(what: str, found: Sequence[int], count: int, least: int = 0) -> None:
     """Refuse indices that the kernel would read beyond its arrays."""
     if not all(least <= each < count for each in found):
         raise SettingsError(f"{what} is {list(found)!r}: allowed are {least} to {count - 1}")
@@ -428,60 +303,6 @@ def length(vectors: Array) -> Array:
     """Return the lengths, (...), of vectors, (..., 3), in one pass."""
     result: Array = np.sqrt(np.vecdot(vectors, vectors))
     return result
-
-
-class Tracked(NamedTuple):
-    """Errors of both flanges from their references.
-
-    Attributes:
-        turn: (n, 2, 3) rotation from flange to reference in the frame of the quaternions: twice the vector part of its
-            quaternion, which is the rotation vector as long as it is small.
-        off_m: (n, 2) distance.
-        chord: (n, 2) chord of the rotation.
-        apart_m: (n,) error of the vector between the flanges.
-        other_flange: (n, 2, 7) pose of the other flange in the `base` frame of each arm: position and quaternion.
-    """
-
-    turn: Array
-    off_m: Array
-    chord: Array
-    apart_m: Array
-    other_flange: Array
-
-
-class Tracking:
-    """Errors of n pairs of flanges from references.
-
-    Args:
-        n: Number of cells.
-        frames: Frames of both arms.
-        quat: (2, 4) orientations of both references in the arms' `base` frames.
-    """
-
-    def __init__(self, n: int, frames: Frames, quat: Array) -> None:
-        self._flange_m, self._flange_base_m, self._reference_m = (np.zeros((n, 2, 3)) for _ in range(3))
-        self._flange_quat: Array = np.zeros((n, 2, 4))
-        shapes = (2, 3), (2,), (2,), (), (2, 7)
-        self._found = Tracked(*[np.zeros((n, *shape)) for shape in shapes])
-        struct = Struct(
-            "Tracking",
-            n=n,
-            reference_quat=np.ascontiguousarray(quat),
-            others=np.ascontiguousarray(frames.others_pose),
-            flange_m=self._flange_m,
-            flange_base_m=self._flange_base_m,
-            flange_quat=self._flange_quat,
-            reference_m=self._reference_m,
-            **self._found._asdict(),
-        )
-        self._compute = RowLoop("track", struct, n, 1)
-
-    def __call__(self, flange_m: Array, in_bases: Poses, reference_m: Array) -> Tracked:
-        """Return the errors of flanges from references, (n, 2, 3) in the cell frame; orientations are in the bases."""
-        self._flange_m[...], self._reference_m[...] = flange_m, reference_m
-        self._flange_base_m[...], self._flange_quat[...] = in_bases
-        self._compute()
-        return Tracked(*[each.copy() for each in self._found])
 
 
 Number = Any

@@ -11,8 +11,9 @@ from typing import Any, ClassVar, Generic, NamedTuple
 import numpy as np
 
 from dual_ur10.assets.prop_part import PropPart
-from dual_ur10.envs.tasks.geometry import KEEP, Goal, GoalSteps, Grasped, Grasps, required
+from dual_ur10.envs.tasks.geometry import KEEP, Goal, GoalSteps, required
 from dual_ur10.envs.tasks.goal_fields import GOAL_FIELDS, goal_values, gripper_values
+from dual_ur10.envs.tasks.grasps import Grasped, Grasps
 from dual_ur10.envs.tasks.observation_layout import (
     ARM_FIELDS,
     Field,

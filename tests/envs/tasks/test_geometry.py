@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dual_ur10 import ArmMount
-from dual_ur10.envs.tasks.geometry import TOOL, FrameDistances, Goal, GoalSteps, Grasps, frame_of
+from dual_ur10.envs.tasks.geometry import TOOL, FrameDistances, Goal, GoalSteps, frame_of
+from dual_ur10.envs.tasks.grasps import Grasps
 from dual_ur10.errors import SettingsError
 from dual_ur10.sim2real.cell.cell import CellState
 from ur_core.kinematics import flange_pose_quat

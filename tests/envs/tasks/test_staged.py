@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dual_ur10.envs.tasks.cases import Cases
 from dual_ur10.envs.tasks.observation_layout import ARM_FIELDS, ObservationLayout
-from dual_ur10.envs.tasks.staged import StagedTask, stage, term
+from dual_ur10.envs.tasks.staged import Cases, StagedTask, stage, term
 from dual_ur10.envs.tasks.task import Timing
 from dual_ur10.errors import SettingsError
 from dual_ur10.sim2real.cell.cell_config import CellConfig

@@ -29,7 +29,6 @@ import numpy as np
 
 from dual_ur10.assets.props import BLOCK_SIZE_M
 from dual_ur10.assets.settings import DEFAULT_TOOLS, home_q_rad
-from dual_ur10.envs.tasks.cases import Cases
 from dual_ur10.envs.tasks.geometry import (
     APPROACH_M,
     KEEP,
@@ -38,14 +37,14 @@ from dual_ur10.envs.tasks.geometry import (
     FrameDistances,
     Goal,
     GoalSteps,
-    Grasped,
-    Grasps,
     Number,
     ToolSteps,
     frame_of,
     numbers,
 )
+from dual_ur10.envs.tasks.grasps import Grasped, Grasps
 from dual_ur10.envs.tasks.handover.settings import GRIPS, MEETING_M, laid_quat, presented_quat
+from dual_ur10.envs.tasks.staged import Cases
 from ur_core.kinematics import flange_pose_quat
 from ur_core.kinematics.frames import ArmMount, Frames
 from ur_core.kinematics.poses import Poses, compose

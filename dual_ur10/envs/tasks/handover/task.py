@@ -10,8 +10,9 @@ import numpy as np
 
 from dual_ur10.assets.props import BLOCK, BLOCK_SIZE_M, TARGET
 from dual_ur10.assets.settings import Equipment
-from dual_ur10.envs.tasks.geometry import PICKING, Grasped, Number, length, numbers, ratio, required
+from dual_ur10.envs.tasks.geometry import PICKING, Number, length, numbers, ratio, required
 from dual_ur10.envs.tasks.goal_fields import GOAL_FIELDS, goal_values, gripper_values
+from dual_ur10.envs.tasks.grasps import Grasped
 from dual_ur10.envs.tasks.handover.goals import LIFTED_M, MEETING_RANGE_M, HandoverGoals, Situation
 from dual_ur10.envs.tasks.handover.settings import HandoverSettings, block_pose, check_reach
 from dual_ur10.envs.tasks.observation_layout import (

@@ -9,7 +9,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from dual_ur10.assets.settings import home_q_rad
-from dual_ur10.envs.tasks.geometry import Goal, GoalSteps, Tracked, Tracking, frame_of, length
+from dual_ur10.envs.tasks.geometry import Goal, GoalSteps, frame_of, length
 from dual_ur10.envs.tasks.observation_layout import (
     ARM_FIELDS,
     Field,
@@ -25,6 +25,7 @@ from dual_ur10.envs.tasks.sine_tracking.settings import (
     path_check,
     sample_path,
 )
+from dual_ur10.envs.tasks.sine_tracking.tracking import Tracked, Tracking
 from dual_ur10.envs.tasks.task import Outcome, Task, Timing, gaussian
 from dual_ur10.sim2real.cell.cell import CellState, Start
 from dual_ur10.sim2real.cell.cell_config import CellConfig

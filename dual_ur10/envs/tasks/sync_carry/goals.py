@@ -14,7 +14,8 @@ import numpy as np
 
 from dual_ur10.assets.props import BAR_WIDTH_M
 from dual_ur10.assets.settings import DEFAULT_TOOLS
-from dual_ur10.envs.tasks.geometry import KEEP, LEARNERS_ROOM_M, Goal, GoalSteps, Grasped, Grasps, ToolSteps
+from dual_ur10.envs.tasks.geometry import KEEP, LEARNERS_ROOM_M, Goal, GoalSteps, ToolSteps
+from dual_ur10.envs.tasks.grasps import Grasped, Grasps
 from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings
 from ur_core.kinematics.frames import ArmMount, Frames
 from ur_core.kinematics.poses import Poses

@@ -10,16 +10,9 @@ import numpy as np
 
 from dual_ur10.assets.props import BAR, BAR_MASS_KG, BAR_WELDS
 from dual_ur10.assets.settings import Equipment, home_q_rad
-from dual_ur10.envs.tasks.geometry import (
-    APPROACH_M,
-    PICKING,
-    FrameDistances,
-    Grasped,
-    flanges_of,
-    length,
-    required,
-)
+from dual_ur10.envs.tasks.geometry import APPROACH_M, PICKING, FrameDistances, flanges_of, length, required
 from dual_ur10.envs.tasks.goal_fields import GOAL_FIELDS, GRIPPER_FIELDS, goal_values, gripper_values
+from dual_ur10.envs.tasks.grasps import Grasped
 from dual_ur10.envs.tasks.observation_layout import (
     ARM_FIELDS,
     OTHER_FLANGE_FIELDS,

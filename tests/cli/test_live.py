@@ -555,7 +555,7 @@ def test_arms_do_not_move_to_the_start_without_the_yes_that_rollout_asks_for(dri
         assert confirm is None  # the page never answers for the operator
         return lambda question: asked.append(question)
 
-    monkeypatch.setattr("dual_ur10.sim2real.runtime.rtde_cell.prompt_for", prompt_for)
+    monkeypatch.setattr("dual_ur10.sim2real.runtime.start_of_episode.prompt_for", prompt_for)
     with VirtualCell() as cell:
         with pytest.raises(StartError, match="not confirmed"):
             drive(task="SineTracking", policy="scripted", cell=cell)

@@ -132,7 +132,7 @@ def test_a_person_sets_joints_where_no_program_can(monkeypatch, tracked):
     with VirtualCell(task="Lid") as cell:
         env = gym.make("Lab/Lid-v0", cell=cell, disable_env_checker=True, confirm=lambda text: asked.append(text))
         with env:
-            env.unwrapped.core.cell._placer = None  # as on a real cell
+            env.unwrapped.core.cell._begin._placer = None  # as on a real cell
             with pytest.raises(StartError, match="not confirmed" if tracked else "'lid' .* nothing that sets joints"):
                 env.reset(seed=0)
     assert ["The joint lid of the case should be at 0.500 rad" in text for text in asked] == [True] * tracked

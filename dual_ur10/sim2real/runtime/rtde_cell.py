@@ -21,16 +21,16 @@ from dual_ur10.sim2real.cell.cell import CellRequest, CellState, CellStep, Start
 from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.cell.mirror_model import MirrorModel
 from dual_ur10.sim2real.cell_file.cell_file import CellFile
-from dual_ur10.sim2real.commissioning.operator_prompts import Confirm, prompt_for
+from dual_ur10.sim2real.commissioning.operator_prompts import Confirm
 from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.command_queue import MAX_LATENCY_TICKS
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.peripherals.grippers import Grippers
 from dual_ur10.sim2real.peripherals.object_tracker import Flanges, ObjectPlacer, ObjectTracker, placer_of, trackers_of
-from dual_ur10.sim2real.runtime.approach import Approach, Rates, plan
 from dual_ur10.sim2real.runtime.path_to_start import AHEAD_TICKS, PathToStart, StalledError
 from dual_ur10.sim2real.runtime.runner import Runner, TargetWriter, least_latency_ticks
+from dual_ur10.sim2real.runtime.start_of_episode import StartOfEpisode
 from dual_ur10.sim2real.runtime.tracking import PayloadWarning, TemperatureWarning
 from ur_core.kinematics.frames import Frames
 from ur_core.kinematics.poses import Poses
@@ -54,10 +54,7 @@ ones. Nothing is known of real arms.
 """
 
 _COUPLED_LEVER_M: Final = 1.0
-_POLL_S: Final = 0.01
 _TRIES: Final = 3  # of a connection, and of an approach, while this machine stalls
-_OPENING_S: Final = 4.0
-_OPENING_M: Final = 0.003  # largest error of an empty gripper's width
 
 
 class RtdeCell:
@@ -168,6 +165,18 @@ class RtdeCell:
             )
         self._trackers = trackers_of(file, equipment.props, self.system)
         self._placer = placer_of(file, self.system)
+        self._begin = StartOfEpisode(
+            file,
+            self.config,
+            self._path,
+            limits=self._limits,
+            clearance=self._clearance,
+            confirm=self._confirm,
+            only=self._only,
+            grippers=self._grippers,
+            placer=self._placer,
+            system=self.system,
+        )
 
     # An episode.
 
@@ -195,7 +204,7 @@ class RtdeCell:
         """
         runner = self._open
         runner.check()
-        self._check_joints(start)
+        self._begin.check_joints(start)
         self.finish()
         runner.cell.limit_scaling(1.0)
         if runner.begun:
@@ -209,7 +218,7 @@ class RtdeCell:
             goal[1 - self._only] = now[1 - self._only]
         for left in reversed(range(_TRIES)):
             try:
-                self._approach(runner, now, goal, start)
+                self._begin.approach(runner, now, goal, start)
                 break
             except StalledError as error:
                 if not left:
@@ -217,58 +226,11 @@ class RtdeCell:
                 log.warning("%s. They continue from there", error)
                 now = runner.last()
         statuses = self._path.arrived(runner, goal)
-        self._place_props(start)
+        self._begin.place_props(start)
         self._mirror.start(start)
         self._origin, self._elapsed, self._paused = None, 0, False
         self._garbage.prepare_episode()
         return CellStep(self._state(statuses), None if self._only is None else goal[None])
-
-    def _check_joints(self, start: Start) -> None:
-        """Refuse to believe that a person has put joints where nothing measures them.
-
-        Raises:
-            StartError: The start has such a joint, and this cell cannot put it there.
-        """
-        if self._placer is not None:
-            return
-        for prop in self.config.equipment.props:
-            for joint in prop.joints if not prop.tracked else ():
-                if joint in start.joints:
-                    raise StartError(
-                        f"the task starts with the joint {joint!r} of the prop {prop.name!r} set: this cell has "
-                        "nothing that sets joints, and nothing measures what a person does. Let the prop be tracked, "
-                        "or leave the joint out of the start"
-                    )
-
-    def _place_props(self, start: Start) -> None:
-        """Put props, and their joints, where the episode begins, if this cell can."""
-        if self._placer is None or not (start.objects or start.joints):
-            return
-        for prop in self.config.equipment.props:
-            if prop.posed and prop.name in start.objects:
-                pose = np.asarray(start.objects[prop.name]).reshape(7)
-                self._placer.place(prop.name, pose[:3].tolist(), pose[3:].tolist())
-        if start.joints:
-            self._placer.set_joints({name: float(np.asarray(each).reshape(())) for name, each in start.joints.items()})
-        self.system.clock.sleep(2.0 * _POLL_S)
-
-    def _approach(self, runner: Runner, now: Array, goal: Array, start: Start) -> None:
-        """Move both arms from rest at `now` to `goal`, (2, 6) each, after confirmation.
-
-        Raises:
-            StalledError: This program stalled. Both arms rest on the path.
-            StartError: See `reset`.
-        """
-        factor = self.file.speed_factor
-        rates = Rates(self.config.robots).capped(self.config).within(self._limits, factor)
-        arms = ARMS if self._only is None else (ARMS[self._only],)
-        approach = plan(now, goal, self._clearance, rates, factor, limits=self._limits, arms=arms)
-        self._ask(self._question(approach, start))
-        runner.check()  # the confirmation may have taken minutes
-        self._open_grippers(runner, start)
-        if not runner.begun:
-            runner.begin(now)
-        self._path.follow(runner, now, approach.targets(self._tick_s))
 
     def advance(self, command: Command) -> CellStep:
         """Send the targets of [now + L, now + L + period), and return the state at now + period, in real time.
@@ -412,79 +374,6 @@ class RtdeCell:
     def __getstate__(self) -> dict[str, Any]:
         raise SettingsError("a cell of two controllers cannot be pickled or copied: there is one of it")
 
-    # Operator and equipment.
-
-    def _question(self, approach: Approach, start: Start) -> str:
-        angles = np.abs(approach.parts - approach.parts[0]).reshape(-1, 2, 6).max(axis=(0, 2))
-        text = ", ".join(
-            f"{name} turns a joint by up to {each:.2f} rad" for name, each in zip(ARMS, angles, strict=True)
-        )
-        lines = [f"The arms move to where the task begins, in {approach.duration_s:.0f} s: {text}."]
-        if approach.detour:
-            lines.append(
-                f"On the straight path {approach.detour}. They move around, in {len(approach.parts) - 1} straight "
-                "parts of joint motion, and stop between them: watch them all the way."
-            )
-        if start.gripper_m is not None and self._grippers is not None:
-            lines.append("Before that, the grippers are activated if they are not, and open: what they hold falls.")
-        for prop in self.config.equipment.props:
-            if prop.free and prop.name in start.objects:
-                x, y, z = np.asarray(start.objects[prop.name]).reshape(7)[:3]
-                lines.append(f"The {prop.name} should be at ({x:.3f}, {y:.3f}, {z:.3f}) m once they are there.")
-            for joint in prop.joints:
-                if joint in start.joints:
-                    value = float(np.asarray(start.joints[joint]).reshape(()))
-                    lines.append(f"The joint {joint} of the {prop.name} should be at {value:.3f} rad, or m, then.")
-        lines.append("Keep everybody out of their reach, and a hand at the emergency stop.")
-        return " ".join(lines)
-
-    def _ask(self, question: str) -> None:
-        """Ask for confirmation.
-
-        Raises:
-            StartError: The operator did not confirm.
-        """
-        confirm = prompt_for(self.file, self._confirm)
-        if confirm(question) is not True:
-            raise StartError("the motion to the start of the task was not confirmed: the arms have not moved")
-
-    def _open_grippers(self, runner: Runner, start: Start) -> None:
-        """Activate grippers where needed, and move them to their start.
-
-        Raises:
-            StartError: A gripper does not arrive.
-            CellFaulted: The arms were stopped.
-        """
-        grippers = self._grippers
-        if grippers is None:
-            return
-        held = None if self._only is None else ARMS[1 - self._only]
-        grippers.activate(lambda question: True, held=held)  # their opening was confirmed
-        if start.gripper_m is None:
-            return
-        wanted: list[float | None] = [float(each) for each in np.asarray(start.gripper_m).reshape(2)]
-        if self._only is not None:
-            wanted[1 - self._only] = None  # that one keeps its hold
-        grippers.forget()  # a person may have moved them since
-        grippers.command(wanted, self.system.clock.now_s())
-        end = self.system.clock.now_s() + _OPENING_S
-        while True:
-            runner.check()
-            fault = grippers.fault_except(held)
-            if fault:
-                raise StartError(f"a gripper does not follow its command: {fault}")
-            found = grippers.opening_m
-            off = [_is_off(*each) for each in zip(found, wanted, strict=True)]
-            if not any(off):
-                return
-            if self.system.clock.now_s() > end:
-                arm = off.index(True)
-                raise StartError(
-                    f"the {ARMS[arm]} gripper is open by {found[arm]} m after {_OPENING_S:g} s, and not by "
-                    f"{wanted[arm]} m: check what is between its fingers"
-                )
-            self.system.clock.sleep(_POLL_S)
-
     def _state(self, statuses: Sequence[ArmStatus]) -> CellState:
         """Return the measured state in task time."""
         for warnings, status in zip(self._warnings, statuses, strict=True):
@@ -584,10 +473,6 @@ def _check_against_file(config: CellConfig) -> None:
                 f"{field.name} of the cell is {getattr(config, field.name)!r:.200}, and its cell file says "
                 f"{getattr(of_file, field.name)!r:.200}: write it there, and pass the path of that file as `cell`"
             )
-
-
-def _is_off(found_m: float | None, wanted_m: float | None) -> bool:
-    return found_m is not None and wanted_m is not None and abs(found_m - wanted_m) > _OPENING_M
 
 
 def _wrench_at_flange(status: ArmStatus) -> Array:

@@ -125,9 +125,6 @@ class GripCondition(NamedTuple):
     narrow: bool
 
 
-PHASES: Final = ("pick", "lift", "present", "take", "release", "place", "leave")
-
-
 def phase_of(case: GoalCase) -> str:
     """Return the phase. A gripper that opens still encloses the block: only then may the block move."""
     giver, receiver = _grips(case)

@@ -139,8 +139,8 @@ test-page: $(VENV)/.browser $(KERNEL) | $(CHROMIUM)  ## the live page in a real 
 	@CHROMIUM=$(CHROMIUM) $(if $(shell command -v timeout),timeout -k 30 1200) $(VENV)/bin/python -m pytest tests/browser
 
 # What neither steps MuJoCo nor knows Gymnasium is the same with every version of them, and so are stops of the arms:
-# the other tests of tests/virtual run emulated cells.
-SAME_WITH_OLDEST = emulated fuzz virtual/faults virtual/test_simulation.py virtual/test_point_stream.py \
+# the other tests of tests/virtual run emulated cells. Sizes of wheels are those of the newest versions.
+SAME_WITH_OLDEST = emulated fuzz test_wheels.py virtual/faults virtual/test_simulation.py virtual/test_point_stream.py \
   $(addprefix sim2real/,calibration links processes trajectory control/test_adapter.py control/test_pipeline.py)
 
 test-oldest: $(OLDEST)/.dev $(KERNEL)  ## the tests that step MuJoCo or know Gymnasium, with MuJoCo 3.17 and Gymnasium 1.2.2

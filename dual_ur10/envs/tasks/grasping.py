@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Generic, NamedTuple
 import numpy as np
 
 from dual_ur10.assets.prop_part import PropPart
+from dual_ur10.envs.tasks.description import described
 from dual_ur10.envs.tasks.geometry import KEEP, Goal, GoalSteps, required
 from dual_ur10.envs.tasks.goal_fields import GOAL_FIELDS, goal_values, gripper_values
 from dual_ur10.envs.tasks.grasps import Grasped, Grasps
@@ -61,7 +62,8 @@ class GraspingTask(StagedTask[SettingsT, Grasped, NowT], Generic[SettingsT, NowT
     the wrench of the object on it, the pose of each observed prop in its own `base` frame, in the fields
     `<prop>_base_m` and `<prop>_base_quat`, the fields of `further`, and those that lead its tool to its grip,
     `dual_ur10.envs.tasks.goal_fields.GOAL_FIELDS`. `observation="goals"` shows the poses, and what leads to the grips.
-    The settings have a `duration_s`.
+    The settings have a `duration_s`. In the docstring of a subclass, lines that hold `{actions}`, `{observations}` or
+    `{arguments}` alone become these tables.
 
     Attributes:
         grips: Grips of the left and the right arm.
@@ -78,7 +80,7 @@ class GraspingTask(StagedTask[SettingsT, Grasped, NowT], Generic[SettingsT, NowT
     further: ClassVar[tuple[Field, ...]] = ()
 
     def __init_subclass__(cls, **keywords: Any) -> None:
-        """Make the layout from the observed props, unless the class states one."""
+        """Make the layout from the observed props, unless the class states one, and the tables of the docstring."""
         super().__init_subclass__(**keywords)
         if "observed" in vars(cls) and "layout" not in vars(cls):
             poses = [
@@ -86,6 +88,8 @@ class GraspingTask(StagedTask[SettingsT, Grasped, NowT], Generic[SettingsT, NowT
             ]
             known = *ARM_FIELDS, gripper_field(), *wrench_fields("object"), *poses, *cls.further
             cls.layout = ObservationLayout(*known, *GOAL_FIELDS)
+        if vars(cls).get("__doc__") and hasattr(cls, "settings_type"):
+            cls.__doc__ = described(cls.__doc__ or "", cls)
 
     def __init__(self, settings: SettingsT, cell: CellConfig, timing: Timing, n: int) -> None:
         super().__init__(settings, cell, timing, n, settings.duration_s)  # type: ignore[attr-defined]
@@ -100,8 +104,9 @@ class GraspingTask(StagedTask[SettingsT, Grasped, NowT], Generic[SettingsT, NowT
         parts = iter(range(len(self.observed), len(self.observed) + len(self._parts)))
         first, second = (next(parts) if grip.body else self.observed.index(grip.prop) for grip in self.grips)
         frames = len(self.observed) + len(self._parts)
+        self._frames = Frames(mounts)
         self._grasps = Grasps(
-            Frames(mounts),
+            self._frames,
             np.tile(np.stack([left.tool.position_m, right.tool.position_m]), (n, 1, 1)),
             (left.width_m, right.width_m),
             frames,
@@ -112,6 +117,7 @@ class GraspingTask(StagedTask[SettingsT, Grasped, NowT], Generic[SettingsT, NowT
         goals = [
             Goal(frame, grip.tool, approached=True) for frame, grip in zip((first, second), self.grips, strict=True)
         ]
+        self._nearness = GoalSteps(n, frames, goals)
         self._to_grips: GoalSteps | None = None
         if any(field in self.layout.fields for field in GOAL_FIELDS):
             self._to_grips = GoalSteps(n, frames, goals, mounts, tcp_m=[tool.tcp_m for tool in tools])
@@ -144,6 +150,22 @@ class GraspingTask(StagedTask[SettingsT, Grasped, NowT], Generic[SettingsT, NowT
             values |= self._goal_values(self._to_grips, measured, commanded_q_rad, values["gripper_m"])
         values.update(self.further_values(state, measured))
         return self.layout.join(values)
+
+    def grasping(self, measured: Grasped) -> Array:
+        """Return the progress of each arm towards holding its object, (n, 2), 0 to 1.
+
+        Half of it is the nearness of the tool to its grip (`dual_ur10.envs.tasks.geometry.ToolSteps`), which has a
+        slope at every distance and includes the rotation; of it closed fingers earn 0.8 until the grip is between them.
+        Closing them there is 0.2, and holding 0.3.
+        """
+        near = self._nearness(measured.tools, measured.frames).nearness
+        opened = np.where(measured.between, 1.0, 0.8 + 0.2 * measured.opened)
+        progress: Array = 0.5 * near * opened + measured.between * 0.2 * measured.closed + 0.3 * measured.holding
+        return progress
+
+    def forces_n(self, state: CellState) -> Array:
+        """Return the forces of the objects on both grippers, (n, 2, 3) in the cell frame."""
+        return self._frames.vector_to_cell(required(state.wrench)[..., :3])
 
     def further_values(self, state: CellState, measured: Grasped) -> Mapping[str, Array]:
         """Return the values of the `further` fields, (n, 2, size) each."""

@@ -48,6 +48,7 @@ class Motions:
 
     Attributes:
         fields: Fields of the last observation.
+        period_s: Time between two actions.
         tools: Poses of both tools as last commanded.
         q_rad: (2, 6) joint positions as last commanded.
         opening: (2,) commands of the grippers, -1 closed to 1 open; None: the task has none.
@@ -55,7 +56,7 @@ class Motions:
 
     def __init__(self, script: Script, fields: Fields) -> None:
         self._script, self._frames = script, Frames((script.mounts[0], script.mounts[1]))
-        self.fields, self.q_rad = fields, fields["commanded_q_rad"].copy()
+        self.fields, self.q_rad, self.period_s = fields, fields["commanded_q_rad"].copy(), script.timing.period_s
         self.opening: Array | None = np.ones(2) if "gripper_m" in fields else None
         self._lever_m = np.zeros((2, 3)) if self.opening is None else levers_m(script.tools)
         flanges = [flange_pose_quat(q, mount.dh) for q, mount in zip(self.q_rad, script.mounts, strict=True)]
@@ -102,7 +103,7 @@ class Motions:
             turn_rad_s: Largest speed of rotation.
             smooth_s: Time constant of the approach.
         """
-        period_s = self._script.timing.period_s
+        period_s = self.period_s
         path_m, turn = self._change(tools)
         needed_s = max(length(path_m).max() / speed_m_s, length(turn).max() / turn_rad_s, smooth_s, period_s)
         yield from self.step(_part(self.tools, path_m, turn, period_s / needed_s))
@@ -146,7 +147,7 @@ class Motions:
             right: That of the right one; None: the same.
         """
         self.opening = np.array([left, left if right is None else right], dtype=np.float64)
-        period_s, still_s, time_s = self._script.timing.period_s, 0.0, 0.0
+        period_s, still_s, time_s = self.period_s, 0.0, 0.0
         while time_s < _MOST_S and (still_s < _STILL_S or time_s < _MOVED_S):
             before_m = self.fields["gripper_m"]
             yield from self.hold(period_s)
@@ -155,7 +156,7 @@ class Motions:
 
     def hold(self, time_s: float) -> Steps:
         """Keep both tools where they are, for a time."""
-        for _ in range(math.ceil(time_s / self._script.timing.period_s - 1e-9)):
+        for _ in range(math.ceil(time_s / self.period_s - 1e-9)):
             yield from self._command(self.q_rad, self.tools)
 
     def _command(self, q_rad: Array, tools: Poses) -> Steps:
@@ -164,7 +165,7 @@ class Motions:
 
     def _arrive(self) -> Steps:
         """Wait until the command is where the motion ends: it may lag behind, because it keeps limits."""
-        for _ in range(math.ceil(_ARRIVED_S / self._script.timing.period_s)):
+        for _ in range(math.ceil(_ARRIVED_S / self.period_s)):
             if np.abs(self.fields["commanded_q_rad"] - self.q_rad).max() < _ARRIVED_RAD:
                 return
             yield from self._command(self.q_rad, self.tools)
@@ -177,7 +178,7 @@ class Motions:
 
     def _ratios(self, duration_s: float) -> Array:
         """Return the fractions of a path at the ends of all periods of a motion with the least jerk."""
-        steps = max(1, math.ceil(duration_s / self._script.timing.period_s))
+        steps = max(1, math.ceil(duration_s / self.period_s))
         return least_jerk(np.arange(1, steps + 1) / steps)
 
 
@@ -197,8 +198,8 @@ def least_jerk(ratio: Array) -> Array:
 
 
 def pair(left: Poses, right: Poses) -> Poses:
-    """Return poses of the left and of the right arm, (3,) and (4,) each, as those of both, (2, 3) and (2, 4)."""
-    return Poses(*(np.stack(parts) for parts in zip(left, right, strict=True)))
+    """Return poses of the left and of the right arm, (..., 3) and (..., 4) each, as those of both, (..., 2, 3)."""
+    return Poses(*(np.stack(parts, axis=-2) for parts in zip(left, right, strict=True)))
 
 
 def raised(poses: Poses, by_m: float) -> Poses:

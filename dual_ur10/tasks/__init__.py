@@ -5,7 +5,8 @@
     @register("MyLab/Reach-v0", scripted="ReachPolicy")
     class Reach(Task[ReachSettings, Array]): ...
 
-It holds names only; each is documented where it is defined.
+It holds names only; each is documented where it is defined. Each module of this package is a task of the suite in such
+a file, with its props and its script.
 """
 
 from dual_ur10.assets.prop import Camera, HeldCapsule, Prop
@@ -24,9 +25,11 @@ from dual_ur10.envs.tasks.observation_layout import (
     wrench_fields,
     wrench_values,
 )
+from dual_ur10.envs.tasks.reach import check_reach, corners
 from dual_ur10.envs.tasks.staged import Progress, StagedTask, stage, term
 from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Task, Timing, check_numbers, gaussian
 from dual_ur10.errors import SettingsError
+from dual_ur10.policies.scripted.admittance import Admittance
 from dual_ur10.policies.scripted.base import Fields, Script, ScriptedPolicy, Wish, on_table
 from dual_ur10.policies.scripted.motions import Motions, Steps, least_jerk, pair, raised
 from dual_ur10.policies.training.settings import Imitation, Reinforcement, TaskSettings
@@ -47,6 +50,7 @@ __all__ = [
     "HOME_Q_RAD",
     "PICKING",
     "STIFF",
+    "Admittance",
     "Array",
     "Camera",
     "CellConfig",
@@ -90,7 +94,9 @@ __all__ = [
     "Wish",
     "arm_values",
     "check_numbers",
+    "check_reach",
     "compose",
+    "corners",
     "gaussian",
     "gripper_field",
     "home_q_rad",

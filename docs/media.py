@@ -107,6 +107,26 @@ VIDEOS = {
         "The block lies up to 120 mm and 90° away, and the policy was trained for 30 mm and 45°: it grips late, and "
         "puts the block down beside its target.",
     ),
+    "peg-insertion-scripted": (
+        "PegInsertion --policy scripted --set clearance_m=0.0005 --randomization mild --speed 3 --cameras near",
+        "Scripted policy",
+        "The left arm searches the hole by the forces on the peg. There are 0.25 mm on each side.",
+    ),
+    "tray-balance-scripted": (
+        "TrayBalance --policy scripted --randomization mild --speed 2 --cameras near",
+        "Scripted policy",
+        "Both arms tilt the tray until the ball rests in its middle, and carry it to its goal.",
+    ),
+    "box-lift-scripted": (
+        "BoxLift --policy scripted --randomization mild --speed 4 --cameras near",
+        "Scripted policy",
+        "Closed grippers press the box with a force that both arms regulate by what they measure.",
+    ),
+    "lid-and-place-scripted": (
+        "LidAndPlace --policy scripted --randomization mild --speed 5 --cameras near",
+        "Scripted policy",
+        "The left arm holds the sprung lid open, and yields to the errors of the arc.",
+    ),
 }
 """Videos: the command that makes each, its title, and what it shows. Those of trained policies need their folders."""
 

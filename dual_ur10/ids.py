@@ -44,6 +44,13 @@ class TaskEntry:
 _TASKS, _SCRIPTED, _LEARNED = "dual_ur10.envs.tasks", "dual_ur10.policies.scripted", "dual_ur10.policies.learned"
 _SETTINGS = "dual_ur10.policies.training.settings"
 
+
+def _entry(task: str, scripted: str) -> TaskEntry:
+    """Return the entry of a task that is one file of `dual_ur10.tasks`, with the class of its script."""
+    module = task.partition(":")[0]
+    return TaskEntry(task=f"dual_ur10.tasks.{task}", scripted={"": f"dual_ur10.tasks.{module}:{scripted}"})
+
+
 TASKS: Final = {
     "DualUR10/SineTracking-v0": TaskEntry(
         task=f"{_TASKS}.sine_tracking.task:SineTracking",
@@ -73,6 +80,10 @@ TASKS: Final = {
         learned={"learned": f"{_LEARNED}:learned_policies/handover"},
     ),
     "DualUR10/Free-v0": TaskEntry(task=f"{_TASKS}.free.task:Free"),
+    "DualUR10/PegInsertion-v0": _entry("peg_insertion:PegInsertion", "PegScript"),
+    "DualUR10/TrayBalance-v0": _entry("tray_balance:TrayBalance", "TrayScript"),
+    "DualUR10/BoxLift-v0": _entry("box_lift:BoxLift", "BoxScript"),
+    "DualUR10/LidAndPlace-v0": _entry("lid_and_place:LidAndPlace", "LidScript"),
 }
 """Tasks by id; `dual_ur10.registration.register` adds to them."""
 

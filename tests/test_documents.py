@@ -40,7 +40,8 @@ DOCS = ROOT / "docs"
 DISTRIBUTIONS = {".": "dual-ur10", "packages/ur-core": "ur-core", "packages/ur-emulator": "ur-emulator"}
 READMES = {name: ROOT / "packages" / name / "README.md" for name in ("ur-core", "ur-emulator")}
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *READMES.values(), *sorted(DOCS.rglob("*.md"))]
-TASK_PAGES = {f"tasks/{name}.md" for name in ("sine-tracking", "sync-carry", "handover", "free")}
+TASK_NAMES = "sine-tracking sync-carry handover free peg-insertion tray-balance box-lift lid-and-place"
+TASK_PAGES = {f"tasks/{name}.md" for name in TASK_NAMES.split()}
 GENERATED = {"reference/cli.md", "reference/cell-file.md", "reference/errors.md", "decisions/index.md", "changelog.md"}
 GENERATED |= {
     "contributing.md",

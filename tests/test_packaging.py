@@ -43,6 +43,7 @@ def test_a_wheel_holds_its_packages_and_nothing_else(built):
             "envs",
             "policies",
             "sim2real",
+            "tasks",
         }
         assert "dual_ur10/sim2real/analysis/templates/page.html" in names
         assert "dual_ur10/policies/learned/learned_policies/sine_tracking/policy.safetensors" in names

@@ -1,5 +1,5 @@
-"""Two tasks for two arms, one file each: PegInsertion and TrayBalance."""
+"""CupOnTray, a task for two arms in one file."""
 
-from two_arm_tasks import peg_insertion, tray_balance
+from two_arm_tasks import cup_on_tray
 
-__all__ = ["peg_insertion", "tray_balance"]
+__all__ = ["cup_on_tray"]

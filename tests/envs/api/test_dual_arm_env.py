@@ -383,7 +383,16 @@ def test_diverged_physics_ends_the_episode_and_returns_no_nan():
 def test_the_spec_has_the_horizon_at_which_the_task_ends_an_episode(env_id):
     assert gym.spec(env_id).max_episode_steps is None
     default = gym.make(env_id)
-    horizons = {"Sine": 750, "Sync": 900, "Hand": 500, "Free": None}
+    horizons = {
+        "Sine": 750,
+        "Sync": 900,
+        "Hand": 500,
+        "Free": None,
+        "PegI": 750,
+        "Tray": 750,
+        "BoxL": 875,
+        "LidA": 1125,
+    }
     assert default.spec.max_episode_steps == horizons[env_id.split("/")[1][:4]]
     if default.spec.max_episode_steps is None:
         return

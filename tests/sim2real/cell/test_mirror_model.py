@@ -39,7 +39,8 @@ def moving(cell, start, periods=6):
 def shown(mirror, state):
     """Return the mirror's state from the measurements of a state."""
     gripped = state.gripper_m is not None
-    mirror.place({name: Poses(pose.position_m[0], pose.quat[0]) for name, pose in state.objects.items()})
+    poses = {name: Poses(pose.position_m[0], pose.quat[0]) for name, pose in state.objects.items()}
+    mirror.place(poses, {name: float(value[0]) for name, value in state.joints.items()})
     more = {"gripper_m": state.gripper_m[0], "wrench": state.wrench[0]} if gripped else {}
     return mirror.follow(float(state.time_s[0]), state.q_rad[0], state.qd_rad_s[0], **more)
 

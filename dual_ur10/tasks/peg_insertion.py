@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -14,23 +14,30 @@ WIDTH_M, PEG_M, PLATE_M = 0.024, 0.12, 0.02  # side of the peg and width of the 
 DEPTH_M = 0.03  # of an inserted peg
 LOADS_KG = (0.4, 0.25)
 STAND_M = {"peg": PEG_M / 2, "plate": PLATE_M / 2}  # heights of their origins on the table
+PLACES_M = {"peg": 0.4, "plate": -0.2}  # y where they stand
 MEETING = ur.pose((0.0, 0.1, 0.2))  # of the plate in the script
+LEAST_M = 3e-4  # clearance: 0.15 mm on each side, the RMS distance of the left flange from its command
 
-# The last 3 mm of the peg taper, so that it finds the hole.
-TIP_POINTS = " ".join(f"{x} {y} {z}" for z, r in ((-0.06, 0.009), (-0.057, 0.012)) for x in (-r, r) for y in (-r, r))
-PEG = ur.Prop(
-    name="peg",
-    mjcf=f"""
+
+def peg(chamfer_m: float) -> ur.Prop:
+    """Return a square peg whose tip tapers by the chamfer, so that it finds the hole."""
+    low, top = -PEG_M / 2, -PEG_M / 2 + chamfer_m
+    ends = (low, WIDTH_M / 2 - chamfer_m), (top, WIDTH_M / 2)
+    points = " ".join(f"{x} {y} {z}" for z, r in ends for x in (-r, r) for y in (-r, r))
+    half = (PEG_M - chamfer_m) / 2
+    return ur.Prop(
+        name="peg",
+        mjcf=f"""
 <mujoco>
-  <asset><mesh name="tip" vertex="{TIP_POINTS}"/></asset>
+  <asset><mesh name="tip" vertex="{points}"/></asset>
   <default><geom friction="0.2 0.005 0.0001" rgba="0.93 0.58 0.16 1"/></default>
   <worldbody><body><freejoint/>
-    <geom type="box" size="0.012 0.012 0.0585" pos="0 0 0.0015" mass="0.39"/>
+    <geom type="box" size="0.012 0.012 {half}" pos="0 0 {chamfer_m / 2}" mass="0.39"/>
     <geom type="mesh" mesh="tip" mass="0.01"/>
   </body></worldbody>
 </mujoco>""",
-    held=(ur.HeldCapsule((0, 0, -0.02), (0, 0, 0.09), 0.017), None),
-)
+        held=(ur.HeldCapsule((0, 0, -0.02), (0, 0, 0.09), 0.017), None),
+    )
 
 
 def plate(clearance_m: float) -> ur.Prop:
@@ -60,59 +67,136 @@ class PegSettings:
 
     Attributes:
         clearance_m: Width of the hole minus that of the peg.
+        chamfer_m: Height and depth of the chamfer at the tip of the peg.
         object_range_m: Initial positions of peg and plate, ± along x and y.
         object_turn_rad: Their initial yaws, ±.
         duration_s: Time of an episode.
     """
 
     clearance_m: float = 0.001
+    chamfer_m: float = 0.003
     object_range_m: float = 0.02
     object_turn_rad: float = 0.15
     duration_s: float = 30.0
 
     def __post_init__(self) -> None:
-        ranges = ("clearance_m", 2e-4, 0.01), ("object_range_m", 0.0, 0.05), ("object_turn_rad", 0.0, 0.5)
-        ur.check_numbers(self, *ranges, ("duration_s", 0.1, 1000.0))
+        ranges = ("object_range_m", 0.0, 0.05), ("object_turn_rad", 0.0, 0.5), ("duration_s", 0.1, 1000.0)
+        ur.check_numbers(self, ("clearance_m", -1.0, 0.01), ("chamfer_m", 5e-4, 0.005), *ranges)
+        if self.clearance_m < LEAST_M:
+            raise ur.SettingsError(
+                f"clearance_m is {self.clearance_m:g}: a peg does not enter a hole that is less than {LEAST_M:g} m "
+                "wider. Use 0.0005"
+            )
 
 
-class Facts(NamedTuple):
+class PegFacts(NamedTuple):
     """Facts of one instant on which the stages depend; pairs are of the left arm with the peg, and the right one.
 
     Attributes:
-        near: (n, 2) nearness of each tool to its grip.
+        grasping: (n, 2) progress of each arm towards holding its object.
         holds: (n, 2) True if the gripper holds its object.
         lifted: (n, 2) height of each object above where it stood, 1 once it is lifted.
         aside_m: (n,) distance of the tip of the peg from the axis of the hole.
         depth_m: (n,) its depth below the upper face of the plate.
     """
 
-    near: ur.Array
+    grasping: ur.Array
     holds: ur.Mask
     lifted: ur.Array
     aside_m: ur.Array
     depth_m: ur.Array
 
 
-@ur.register("TwoArm/PegInsertion-v0", scripted="PegScript")
-class PegInsertion(ur.GraspingTask[PegSettings, Facts]):
+class PegInsertion(ur.GraspingTask[PegSettings, PegFacts]):
     """Both arms pick up a peg and a plate, and insert the peg into the hole of the plate.
 
-    Success is a peg 30 mm deep in the plate for half a second, with both in their grippers and off the table. So one
-    arm alone cannot succeed.
+    ## Description
+
+    The left arm picks up a square peg of 24 mm and 0.4 kg, the right arm a plate of 0.25 kg by its handle, and they
+    insert the peg in the air. The hole is wider than the peg by `clearance_m`. What one arm holds the other cannot
+    reach, and a plate on the table has nothing below its hole: one arm alone passes no stage.
+
+    ## Action Space
+
+    {actions}
+
+    ## Observation Space
+
+    {observations}
+
+    ## Rewards
+
+    The reward is the weighted sum of one term for each stage, between 0 and 1, and one for the end; each raw term is in
+    `info` as `reward/<term>`. A term is the mean of both arms' parts, which their agents earn. It is 1 once its stage
+    is passed, which is never lost, progress until then, and 0 before the stage begins.
+
+    - *grasp* (0.2): passed when both grippers hold their objects. Each arm: half of the nearness of its tool to its
+      grip, 0.2 for closing there, and 0.3 for holding it.
+    - *lift* (0.2): passed when both are held and 10 cm higher than where they stood. Each arm: the fraction of that.
+    - *align* (0.2): passed when the tip of the peg is less than 30 mm above the plate and 5 mm beside the axis of the
+      hole. Both: nearness of the tip to the hole, while both are held.
+    - *insert* (0.4): passed when the tip is 30 mm below the upper face of the plate, with both held, off the table.
+      Both: the fraction of that depth.
+    - *finish* (1.0): at a step that ends an episode with success, the number of its remaining steps; otherwise 0.
+
+    `info["stage"]` is the number of stages passed in their order, 0 to 4. `info` also holds, without noise, `aside_m`,
+    the distance of the tip from the axis of the hole, `depth_m`, its depth below the upper face of the plate, and
+    `force_n` (2,), the force on each gripper.
+
+    ## Starting State
+
+    Both arms are at rest at home with open grippers. The peg stands at (0, 0.4) m and the plate lies at (0, -0.2) m,
+    each shifted by up to `object_range_m` along x and y and rotated by up to `object_turn_rad`.
+
+    ## Episode End
+
+    ### Termination
+
+    `info["end_reason"]` is
+
+    - "success": the peg has been inserted for 0.5 s;
+    - "object_fell": peg or plate fell from the table;
+    - "refused/<limit>": with `on_refusal="terminate"`, the safety gate refused a motion; see `info["safety"]`;
+    - "physics": the simulation diverged (`info["physics_error"]`).
+
+    ### Truncation
+
+    After `duration_s`, 750 steps with the defaults, with the reason "time". `env.spec.max_episode_steps` is this
+    number; no time limit is registered with the id.
+
+    ## Arguments
+
+    {arguments}
+
+    ## Version History
+
+    - v0: first version.
     """
 
     limits = ur.MotionLimits(speed_rad_s=(1.0,) * 6, acceleration_rad_s2=10.0, jerk_rad_s3=2000.0)
     settings_type = PegSettings
+    per_arm: ClassVar[tuple[str, ...]] = ("force_n",)
     observed = ("peg", "plate")
     grips = (
         ur.Grip("peg", ur.pose((0.0, 0.0, 0.035), (0.0, 0.0, 1.0, 0.0)), WIDTH_M),
         ur.Grip("plate", ur.pose((0.0, -0.26, 0.015), (0.0, 1.0, -1.0, 0.0)), WIDTH_M),
     )
 
+    def __init__(self, settings: PegSettings, cell: ur.CellConfig, timing: ur.Timing, n: int) -> None:
+        super().__init__(settings, cell, timing, n)
+        held = [grip.tool for grip in self.grips]
+        ranges = settings.object_range_m, settings.object_turn_rad
+        lying = (ur.corners((0.0, PLACES_M[name], STAND_M[name]), *ranges) for name in self.observed)
+        grips = ur.pair(*map(ur.compose, lying, held))
+        meeting = ur.pair(*map(ur.compose, (ur.raised(MEETING, 0.1), MEETING), held))
+        meeting = ur.Poses(*(part[None] for part in meeting))
+        ur.check_reach(cell, {"its grip": grips, "the lifted grip": ur.raised(grips, 0.16), "the hole": meeting})
+
     @classmethod
     def requirements(cls, settings: PegSettings) -> ur.SceneRequirements:
         """Return the scene: two grippers, the peg and the plate."""
-        near, props = ur.Camera("near", (0.5, 0.4, 0.45), target_m=(0.0, 0.05, 0.2)), (PEG, plate(settings.clearance_m))
+        near = ur.Camera("near", position_m=(0.5, 0.4, 0.45), target_m=(0.0, 0.05, 0.2))
+        props = peg(settings.chamfer_m), plate(settings.clearance_m)
         equipment = ur.Equipment(grippers=True, props=props, grip_force_n=200.0, cameras=(near,))
         return ur.SceneRequirements(equipment, timestep_s=0.001, gains=ur.COMPLIANT, closer=ur.PICKING)
 
@@ -121,48 +205,52 @@ class PegInsertion(ur.GraspingTask[PegSettings, Facts]):
         reach = [self.settings.object_range_m] * 2 + [self.settings.object_turn_rad]
         shift = np.array([rng.uniform(-1.0, 1.0, (2, 3)) for rng in rngs]) * reach
         objects = {}
-        for k, (name, y_m) in enumerate((("peg", 0.4), ("plate", -0.2))):
-            place = shift[:, k] * [1.0, 1.0, 0.0] + np.array([0.0, y_m, STAND_M[name]])
+        for k, name in enumerate(self.observed):
+            place = shift[:, k] * [1.0, 1.0, 0.0] + np.array([0.0, PLACES_M[name], STAND_M[name]])
             objects[name] = np.concatenate([place, ur.yaw_quat(shift[:, k, 2])], axis=1)
         return self.start_at_home(rows, objects)
 
-    def facts(self, state: ur.CellState, measured: ur.Grasped) -> Facts:
+    def facts(self, state: ur.CellState, measured: ur.Grasped) -> PegFacts:
         """Compute the facts of this step."""
         peg, hole = state.objects["peg"], state.objects["plate"]
         at_m = ur.relative_to(hole, ur.compose(peg, ur.pose((0.0, 0.0, -PEG_M / 2)))).position_m
         heights_m = np.stack([state.objects[name].position_m[:, 2] - STAND_M[name] for name in self.observed], axis=1)
-        near = ur.gaussian(np.linalg.norm(measured.grip_in_tool_m, axis=2), margin=0.3)
         aside_m, depth_m = np.linalg.norm(at_m[:, :2], axis=1), PLATE_M / 2 - at_m[:, 2]
-        self.shown = {"aside_m": aside_m, "depth_m": depth_m}
-        return Facts(near, measured.holding, heights_m / 0.1, aside_m, depth_m)
+        force_n = np.linalg.norm(self.forces_n(state), axis=2)
+        self.shown = {"force_n": force_n, "aside_m": aside_m, "depth_m": depth_m}
+        return PegFacts(self.grasping(measured), measured.holding, heights_m / 0.1, aside_m, depth_m)
 
     @ur.stage(weight=0.2)
-    def grasp(self, now: Facts) -> tuple[ur.Number, ur.Progress]:
+    def grasp(self, now: PegFacts) -> tuple[ur.Number, ur.Progress]:
         """Hold both objects."""
-        left, right = (0.5 * (now.near + now.holds)).T
+        left, right = now.grasping.T
         return now.holds.all(axis=1), (left, right)
 
     @ur.stage(weight=0.2, load_kg=LOADS_KG)
-    def lift(self, now: Facts) -> tuple[ur.Number, ur.Progress]:
+    def lift(self, now: PegFacts) -> tuple[ur.Number, ur.Progress]:
         """Lift both by 10 cm."""
         left, right = ur.ratio(now.holds * now.lifted).T
         return (now.holds & (now.lifted > 1.0)).all(axis=1), (left, right)
 
     @ur.stage(weight=0.2, load_kg=LOADS_KG)
-    def align(self, now: Facts) -> tuple[ur.Number, ur.Progress]:
+    def align(self, now: PegFacts) -> tuple[ur.Number, ur.Progress]:
         """Bring the tip of the peg above the hole."""
         above = (now.depth_m < 0.0) & (now.depth_m > -0.03) & (now.aside_m < 0.005)
         return above, now.holds.all(axis=1) * ur.gaussian(now.aside_m + np.abs(now.depth_m), margin=0.3)
 
     @ur.stage(weight=0.4, load_kg=LOADS_KG, coupled=True)
-    def insert(self, now: Facts) -> tuple[ur.Number, ur.Progress]:
+    def insert(self, now: PegFacts) -> tuple[ur.Number, ur.Progress]:
         """Insert the peg, with both objects off the table."""
         held = (now.holds & (now.lifted > 0.5)).all(axis=1) & (now.aside_m < 0.005)
         return held & (now.depth_m > DEPTH_M), held * ur.ratio(now.depth_m / DEPTH_M)
 
-    def lost(self, now: Facts) -> ur.Number:
+    def lost(self, now: PegFacts) -> ur.Number:
         """Return the rows in which an object fell from the table."""
         return (now.lifted < -0.5).any(axis=1)
+
+    def failure(self, row: int, outcome: ur.Outcome) -> str:
+        """Return the name of the failure."""
+        return "object_fell"
 
     def values(self, measured: ur.Grasped) -> dict[str, ur.Array]:
         """Return the values of `info`."""
@@ -172,7 +260,8 @@ class PegInsertion(ur.GraspingTask[PegSettings, Facts]):
 START_M, INSERT_M_S = 0.008, 0.015  # height of the tip above the plate before the insertion, and its speed
 SEARCH_N, ENTERED_M = 5.0, 0.004  # force at which the tip is beside the hole, and depth at which it is in it
 SEARCH_RAD_S, SEARCH_M_RAD = 1.5, 0.0007  # of the spiral on which it searches the hole
-YIELD_M_S_N, NOISE_N, FORCE_FILTER = 1e-3, 2.0, 0.4  # speed for a force from the side, and forces that do not count
+YIELD_M_S_N, NOISE_N = 1e-3, 2.0  # speed for a force from the side, and forces that do not count
+SIDEWAYS = np.array([[1.0, 1.0, 0.0], [0.0, 0.0, 0.0]])  # axes of the tools along which the peg in the hole yields
 
 
 class PegScript(ur.Script):
@@ -194,20 +283,17 @@ class PegScript(ur.Script):
         for _ in range(int(2.0 / period_s)):
             moved_m = np.array([self.hole(arms) + np.array([0.0, 0.0, START_M]), np.zeros(3)])
             yield from arms.follow(ur.Poses(arms.tools.position_m + moved_m, arms.tools.quat))
-        tools, searched_s, yielded_m, down_m, push_n = arms.tools, 0.0, np.zeros(2), 0.0, np.zeros(3)
+        yielding, tools, searched_s, down_m = ur.Admittance(arms, YIELD_M_S_N, NOISE_N), arms.tools, 0.0, 0.0
         while True:
-            push_n = push_n + FORCE_FILTER * (arms.force_n()[0] - push_n)
             entered = self.hole(arms)[2] > ENTERED_M
-            if push_n[2] < SEARCH_N or entered:
+            if -yielding.force_n[0, 2] < SEARCH_N or entered:
                 down_m = min(down_m + INSERT_M_S * period_s, START_M + DEPTH_M + 0.01)
             else:
                 searched_s += period_s
-            if entered:
-                yielded_m += YIELD_M_S_N * period_s * (push_n[:2] - np.clip(push_n[:2], -NOISE_N, NOISE_N))
             angle = SEARCH_RAD_S * searched_s
-            aside_m = yielded_m + SEARCH_M_RAD * angle * np.array([np.cos(angle), np.sin(angle)])
+            aside_m = SEARCH_M_RAD * angle * np.array([np.cos(angle), np.sin(angle)])
             moved_m = np.array([[*aside_m, -down_m], [0.0, 0.0, 0.0]])
-            yield from arms.step(ur.Poses(tools.position_m + moved_m, tools.quat))
+            yield from yielding.step(ur.Poses(tools.position_m + moved_m, tools.quat), SIDEWAYS * entered)
 
     def hole(self, arms: ur.Motions) -> ur.Array:
         """Return the path from the tip of the peg to the hole, whose z is the depth of the tip, (3,)."""

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
 import dual_ur10.tasks as ur
 
-HANDLE_M, RADIUS_M, LYING_M = 0.04, 0.02, 0.02  # width of the handles; of the ball; height of the tray on the table
+HANDLE_M, LYING_M = 0.04, 0.02  # width of the handles; height of the tray on the table
+INSIDE_M = 0.14  # from the middle of the tray to its rim along x
 GOAL_M = 0.15  # height of the middle of all goals above that
 LOADS_KG = (0.6, 0.6)  # half of the tray for each arm
 DOWN = (0.0, 1.0, -1.0, 0.0)  # orientation of a tool that grips a handle from above
@@ -33,15 +34,6 @@ TRAY = ur.Prop(
 </mujoco>""",
     held=(ur.HeldCapsule((-0.04, 0, 0), (0.28, 0, 0), 0.03), ur.HeldCapsule((0.04, 0, 0), (-0.28, 0, 0), 0.03)),
 )
-BALL = ur.Prop(
-    name="ball",
-    mjcf="""
-<mujoco>
-  <worldbody><body><freejoint/>
-    <geom type="sphere" size="0.02" mass="0.05" condim="6" friction="0.5 0.005 0.00001" rgba="0.85 0.25 0.20 1"/>
-  </body></worldbody>
-</mujoco>""",
-)
 GOAL = ur.Prop(
     name="goal",
     mjcf="""
@@ -54,11 +46,25 @@ GOAL = ur.Prop(
 )
 
 
+def ball(radius_m: float) -> ur.Prop:
+    """Return a ball of 50 g."""
+    return ur.Prop(
+        name="ball",
+        mjcf=f"""
+<mujoco>
+  <worldbody><body><freejoint/>
+    <geom type="sphere" size="{radius_m}" mass="0.05" condim="6" friction="0.5 0.005 0.00001" rgba="0.85 0.25 0.20 1"/>
+  </body></worldbody>
+</mujoco>""",
+    )
+
+
 @dataclass(frozen=True)
 class TraySettings:
     """Settings of TrayBalance, keywords of `gym.make`.
 
     Attributes:
+        ball_radius_m: Radius of the ball.
         ball_range_m: Initial position of the ball on the tray, ± along x and y.
         object_range_m: Initial position of the tray, ± along x and y.
         target_range_m: Position of the goal, ± along each axis about a place above the table.
@@ -67,6 +73,7 @@ class TraySettings:
         duration_s: Time of an episode.
     """
 
+    ball_radius_m: float = 0.02
     ball_range_m: float = 0.05
     object_range_m: float = 0.02
     target_range_m: float = 0.08
@@ -75,16 +82,29 @@ class TraySettings:
     duration_s: float = 30.0
 
     def __post_init__(self) -> None:
-        ranges = ("ball_range_m", 0.0, 0.1), ("object_range_m", 0.0, 0.05), ("target_range_m", 0.0, 0.1)
-        more = ("target_turn_rad", 0.0, 0.3), ("success_ball_m", 1e-3, 0.1), ("duration_s", 0.1, 1000.0)
-        ur.check_numbers(self, *ranges, *more)
+        ur.check_numbers(
+            self,
+            ("ball_radius_m", 0.01, 0.04),
+            ("ball_range_m", 0.0, 0.13),
+            ("object_range_m", 0.0, 0.05),
+            ("target_range_m", 0.0, 0.1),
+            ("target_turn_rad", 0.0, 0.3),
+            ("success_ball_m", 1e-3, 0.1),
+            ("duration_s", 0.1, 1000.0),
+        )
+        if self.ball_radius_m + self.ball_range_m > INSIDE_M:
+            raise ur.SettingsError(
+                f"ball_radius_m is {self.ball_radius_m:g} and ball_range_m {self.ball_range_m:g}: such a ball does not "
+                f"fit the tray, whose rim is {INSIDE_M:g} m from its middle. Use ball_range_m="
+                f"{INSIDE_M - self.ball_radius_m:g} or less"
+            )
 
 
-class Facts(NamedTuple):
+class TrayFacts(NamedTuple):
     """Facts of one instant on which the stages depend.
 
     Attributes:
-        near: (n, 2) nearness of each tool to its grip.
+        grasping: (n, 2) progress of each arm towards holding its handle.
         holds: (n, 2) True if the gripper holds its handle.
         height_m: (n,) height of the tray above where it lay.
         goal_m, goal_rad: (n,) distance and angle of the tray from its goal.
@@ -92,7 +112,7 @@ class Facts(NamedTuple):
         fell: (n,) True if the ball is no longer on the tray.
     """
 
-    near: ur.Array
+    grasping: ur.Array
     holds: ur.Mask
     height_m: ur.Array
     goal_m: ur.Array
@@ -101,16 +121,75 @@ class Facts(NamedTuple):
     fell: ur.Mask
 
 
-@ur.register("TwoArm/TrayBalance-v0", scripted="TrayScript")
-class TrayBalance(ur.GraspingTask[TraySettings, Facts]):
-    """Both arms lift a tray with a ball on it, roll the ball to its middle, and carry it to a goal in the air.
+class TrayBalance(ur.GraspingTask[TraySettings, TrayFacts]):
+    """Both arms lift a tray, bring the ball on it to rest in its middle, and carry it to a goal in the air.
 
-    Success is a tray within 10 mm and 0.05 rad of its goal, in both grippers, with the ball within 20 mm of its middle,
-    for a second. A level tray leaves the ball where it was. One arm alone cannot succeed.
+    ## Description
+
+    A tray of 1.2 kg with a ball of 50 g lies on the table. Both arms grip its handles, lift it, roll the ball to its
+    middle by tilting the tray, and carry it to a goal without losing the ball. A level tray leaves the ball where it
+    was. One arm alone cannot lift the tray, and passes no stage.
+
+    ## Action Space
+
+    {actions}
+
+    ## Observation Space
+
+    {observations}
+
+    ## Rewards
+
+    The reward is the weighted sum of one term for each stage, between 0 and 1, and one for the end; each raw term is in
+    `info` as `reward/<term>`. A term is the mean of both arms' parts, which their agents earn. It is 1 once its stage
+    is passed, which is never lost, progress until then, and 0 before the stage begins.
+
+    - *grasp* (0.2): passed when both grippers hold their handles. Each arm: half of the nearness of its tool to its
+      handle, 0.2 for closing there, and 0.3 for holding it.
+    - *lift* (0.2): passed when both hold the tray 5 cm above where it lay. Both: the fraction of that height.
+    - *center* (0.2): passed when the ball is within `success_ball_m` of the middle. Both: its nearness to the middle.
+    - *carry* (0.4): passed when the tray is within 10 mm and 0.05 rad of its goal, with the ball in its middle. Both:
+      the nearness of the tray to its goal while the ball is there.
+    - *finish* (1.0): at a step that ends an episode with success, the number of its remaining steps; otherwise 0.
+
+    `info["stage"]` is the number of stages passed in their order, 0 to 4. `info` also holds, without noise, `ball_m`,
+    the distance of the ball from the middle, `tray_m` and `tray_rad`, those of the tray from its goal, and `force_n`
+    (2,), the force on each gripper.
+
+    ## Starting State
+
+    Both arms are at rest at home with open grippers. The tray lies at (0, 0) m, shifted by up to `object_range_m` along
+    x and y, with the ball up to `ball_range_m` off its middle along each. The goal is up to `target_range_m` from
+    (0, 0, 0.17) m along each axis, rotated by up to `target_turn_rad`.
+
+    ## Episode End
+
+    ### Termination
+
+    `info["end_reason"]` is
+
+    - "success": all stages were passed, and tray and ball have been at their goals for 1 s;
+    - "ball_fell": the ball fell from the tray;
+    - "refused/<limit>": with `on_refusal="terminate"`, the safety gate refused a motion; see `info["safety"]`;
+    - "physics": the simulation diverged (`info["physics_error"]`).
+
+    ### Truncation
+
+    After `duration_s`, 750 steps with the defaults, with the reason "time". `env.spec.max_episode_steps` is this
+    number; no time limit is registered with the id.
+
+    ## Arguments
+
+    {arguments}
+
+    ## Version History
+
+    - v0: first version.
     """
 
     limits = ur.MotionLimits(speed_rad_s=(1.0,) * 6, acceleration_rad_s2=10.0, jerk_rad_s3=2000.0)
     settings_type = TraySettings
+    per_arm: ClassVar[tuple[str, ...]] = ("force_n",)
     settled_s = 1.0
     ranges = ("object_range_m", "ball_range_m")
     observed = ("tray", "ball", "goal")
@@ -119,11 +198,24 @@ class TrayBalance(ur.GraspingTask[TraySettings, Facts]):
         ur.Grip("tray", ur.pose((0.0, -0.28, 0.006), DOWN), HANDLE_M),
     )
 
+    def __init__(self, settings: TraySettings, cell: ur.CellConfig, timing: ur.Timing, n: int) -> None:
+        super().__init__(settings, cell, timing, n)
+        left, right = (grip.tool for grip in self.grips)
+        places = {}
+        for name, height_m, reach_m, turn_rad in (
+            ("the handles", LYING_M, settings.object_range_m, 0.0),
+            ("the goal", LYING_M + GOAL_M + settings.target_range_m, settings.target_range_m, settings.target_turn_rad),
+        ):
+            trays = ur.corners((0.0, 0.0, height_m), reach_m, turn_rad)
+            places[name] = ur.pair(ur.compose(trays, left), ur.compose(trays, right))
+        ur.check_reach(cell, places)
+
     @classmethod
     def requirements(cls, settings: TraySettings) -> ur.SceneRequirements:
         """Return the scene: two grippers, the tray, the ball and the goal."""
         near = ur.Camera("near", position_m=(0.75, 0.4, 0.65), target_m=(0.0, 0.0, 0.1))
-        equipment = ur.Equipment(grippers=True, props=(TRAY, BALL, GOAL), grip_force_n=100.0, cameras=(near,))
+        props = TRAY, ball(settings.ball_radius_m), GOAL
+        equipment = ur.Equipment(grippers=True, props=props, grip_force_n=100.0, cameras=(near,))
         return ur.SceneRequirements(equipment, timestep_s=0.001, gains=ur.COMPLIANT, closer=ur.PICKING)
 
     def start(self, rows: ur.Rows, rngs: Sequence[np.random.Generator]) -> ur.Start:
@@ -131,7 +223,7 @@ class TrayBalance(ur.GraspingTask[TraySettings, Facts]):
         unit, settings = np.array([rng.uniform(-1.0, 1.0, 8) for rng in rngs]), self.settings
         column = np.ones((len(rows), 1))
         tray = np.concatenate([unit[:, :2] * settings.object_range_m, LYING_M * column], axis=1)
-        ball = tray + np.concatenate([unit[:, 2:4] * settings.ball_range_m, RADIUS_M * column], axis=1)
+        ball = tray + np.concatenate([unit[:, 2:4] * settings.ball_range_m, settings.ball_radius_m * column], axis=1)
         goal = unit[:, 4:7] * settings.target_range_m + np.array([0.0, 0.0, LYING_M + GOAL_M])
         yaws = np.concatenate([0.0 * column, 0.0 * column, unit[:, 7:] * settings.target_turn_rad], axis=1).T
         poses = [
@@ -139,43 +231,49 @@ class TrayBalance(ur.GraspingTask[TraySettings, Facts]):
         ]
         return self.start_at_home(rows, dict(zip(self.observed, poses, strict=True)))
 
-    def facts(self, state: ur.CellState, measured: ur.Grasped) -> Facts:
+    def facts(self, state: ur.CellState, measured: ur.Grasped) -> TrayFacts:
         """Compute the facts of this step."""
         tray, ball = state.objects["tray"], state.objects["ball"]
         off, at_m = ur.relative_to(state.objects["goal"], tray), ur.relative_to(tray, ball).position_m
-        near = ur.gaussian(np.linalg.norm(measured.grip_in_tool_m, axis=2), margin=0.3)
         goal_m, goal_rad = np.linalg.norm(off.position_m, axis=1), ur.rotation_angle(off.quat)
-        ball_m, fell = np.linalg.norm(at_m[:, :2], axis=1), np.abs(at_m[:, 2] - RADIUS_M) > RADIUS_M
-        self.shown = {"ball_m": ball_m, "tray_m": goal_m, "tray_rad": goal_rad}
-        return Facts(near, measured.holding, tray.position_m[:, 2] - LYING_M, goal_m, goal_rad, ball_m, fell)
+        ball_m, radius_m = np.linalg.norm(at_m[:, :2], axis=1), self.settings.ball_radius_m
+        fell = np.abs(at_m[:, 2] - radius_m) > radius_m
+        force_n = np.linalg.norm(self.forces_n(state), axis=2)
+        self.shown = {"force_n": force_n, "ball_m": ball_m, "tray_m": goal_m, "tray_rad": goal_rad}
+        height_m, grasping = tray.position_m[:, 2] - LYING_M, self.grasping(measured)
+        return TrayFacts(grasping, measured.holding, height_m, goal_m, goal_rad, ball_m, fell)
 
     @ur.stage(weight=0.2)
-    def grasp(self, now: Facts) -> tuple[ur.Number, ur.Progress]:
+    def grasp(self, now: TrayFacts) -> tuple[ur.Number, ur.Progress]:
         """Hold both handles."""
-        left, right = (0.5 * (now.near + now.holds)).T
+        left, right = now.grasping.T
         return now.holds.all(axis=1), (left, right)
 
     @ur.stage(weight=0.2, load_kg=LOADS_KG, coupled=True)
-    def lift(self, now: Facts) -> tuple[ur.Number, ur.Progress]:
+    def lift(self, now: TrayFacts) -> tuple[ur.Number, ur.Progress]:
         """Lift the tray by 5 cm."""
         both = now.holds.all(axis=1)
         return both & (now.height_m > 0.05), both * ur.ratio(now.height_m / 0.05)
 
     @ur.stage(weight=0.2, load_kg=LOADS_KG, coupled=True)
-    def center(self, now: Facts) -> tuple[ur.Number, ur.Progress]:
+    def center(self, now: TrayFacts) -> tuple[ur.Number, ur.Progress]:
         """Roll the ball to the middle of the tray."""
         both = now.holds.all(axis=1)
         return both & (now.ball_m < self.settings.success_ball_m), both * ur.gaussian(now.ball_m, margin=0.1)
 
     @ur.stage(weight=0.4, load_kg=LOADS_KG, coupled=True)
-    def carry(self, now: Facts) -> tuple[ur.Number, ur.Progress]:
+    def carry(self, now: TrayFacts) -> tuple[ur.Number, ur.Progress]:
         """Carry the tray to its goal, with the ball in its middle."""
         both = now.holds.all(axis=1) & (now.ball_m < self.settings.success_ball_m)
-        return both & (now.goal_m < 0.01) & (now.goal_rad < 0.05), both * ur.gaussian(now.goal_m, margin=0.2)
+        return both & (now.goal_m < 0.01) & (now.goal_rad < 0.05), both * ur.gaussian(now.goal_m, margin=0.3)
 
-    def lost(self, now: Facts) -> ur.Number:
+    def lost(self, now: TrayFacts) -> ur.Number:
         """Return the rows whose ball fell from the tray."""
         return now.fell
+
+    def failure(self, row: int, outcome: ur.Outcome) -> str:
+        """Return the name of the failure."""
+        return "ball_fell"
 
     def values(self, measured: ur.Grasped) -> dict[str, ur.Array]:
         """Return the values of `info`."""

@@ -1,0 +1,44 @@
+"""BoxLift: both arms press a box, lift it and place it."""
+
+import gymnasium as gym
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from dual_ur10.errors import SettingsError
+from dual_ur10.policies import evaluate
+from tests.tasks.one_arm import reached_alone
+
+ID = "DualUR10/BoxLift-v0"
+
+
+@pytest.mark.parametrize(("action_mode", "observation"), [("joint_delta", "state"), ("tcp_delta", "goals")])
+def test_gymnasium(action_mode, observation):
+    with gym.make(ID, duration_s=0.2, action_mode=action_mode, observation=observation) as env:
+        check_env(env.unwrapped, skip_render_check=True)
+
+
+@pytest.mark.parametrize("randomization", ["none", "mild"])
+def test_the_script_succeeds(randomization):
+    keywords = {"randomization": randomization, "on_refusal": "terminate"}
+    (episode,) = evaluate(ID, "scripted", episodes=1, env_kwargs=keywords).episodes
+    assert episode.success
+    assert max(episode.peak["force_n/left"], episode.peak["force_n/right"]) < 60
+
+
+@pytest.mark.parametrize("arm", [0, 1], ids=["left", "right"])
+def test_one_arm_alone_passes_no_stage(arm):
+    assert reached_alone(ID, arm, duration_s=16.0) == (False, 0)
+
+
+@pytest.mark.parametrize(
+    ("keywords", "message"),
+    [
+        ({"width_m": 0.4}, "width_m is 0.4: it must be a number, 0.1 to 0.26"),
+        ({"object_turn_rad": 1.0}, "object_turn_rad"),
+        ({"success_error_m": 0.0}, "success_error_m"),
+        ({"robot": "ur3e"}, "ur3e, cannot reach"),
+    ],
+)
+def test_settings_that_cannot_work_are_refused(keywords, message):
+    with pytest.raises(SettingsError, match=message):
+        gym.make(ID, **keywords)

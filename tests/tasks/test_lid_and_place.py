@@ -1,0 +1,43 @@
+"""LidAndPlace: one arm holds a lid open, the other puts a block inside."""
+
+import gymnasium as gym
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from dual_ur10.errors import SettingsError
+from dual_ur10.policies import evaluate
+from tests.tasks.one_arm import reached_alone
+
+ID = "DualUR10/LidAndPlace-v0"
+
+
+@pytest.mark.parametrize(("action_mode", "observation"), [("joint_delta", "state"), ("tcp_delta", "goals")])
+def test_gymnasium(action_mode, observation):
+    with gym.make(ID, duration_s=0.2, action_mode=action_mode, observation=observation) as env:
+        check_env(env.unwrapped, skip_render_check=True)
+
+
+@pytest.mark.parametrize("randomization", ["none", "mild"])
+def test_the_script_succeeds(randomization):
+    keywords = {"randomization": randomization, "on_refusal": "terminate"}
+    (episode,) = evaluate(ID, "scripted", episodes=1, env_kwargs=keywords).episodes
+    assert episode.success
+    assert max(episode.peak["force_n/left"], episode.peak["force_n/right"]) < 40
+
+
+@pytest.mark.parametrize("arm", [0, 1], ids=["left", "right"])
+def test_one_arm_alone_passes_no_stage(arm):
+    assert reached_alone(ID, arm, duration_s=12.0) == (False, 0)
+
+
+@pytest.mark.parametrize(
+    ("keywords", "message"),
+    [
+        ({"slam_rad_s": 0.0}, "slam_rad_s"),
+        ({"object_range_m": 0.2}, "object_range_m"),
+        ({"robot": "ur3e"}, "ur3e, cannot reach"),
+    ],
+)
+def test_settings_that_cannot_work_are_refused(keywords, message):
+    with pytest.raises(SettingsError, match=message):
+        gym.make(ID, **keywords)

@@ -1,0 +1,51 @@
+"""TrayBalance: both arms carry a tray, and roll the ball on it to its middle."""
+
+import gymnasium as gym
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from dual_ur10.errors import SettingsError
+from dual_ur10.policies import evaluate
+from tests.tasks.one_arm import reached_alone
+
+ID = "DualUR10/TrayBalance-v0"
+
+
+@pytest.mark.parametrize(("action_mode", "observation"), [("joint_delta", "state"), ("tcp_delta", "goals")])
+def test_gymnasium(action_mode, observation):
+    with gym.make(ID, duration_s=0.2, action_mode=action_mode, observation=observation) as env:
+        check_env(env.unwrapped, skip_render_check=True)
+
+
+@pytest.mark.parametrize("randomization", ["none", "mild"])
+def test_the_script_succeeds(randomization):
+    keywords = {"randomization": randomization, "on_refusal": "terminate"}
+    (episode,) = evaluate(ID, "scripted", episodes=1, env_kwargs=keywords).episodes
+    assert episode.success
+    assert max(episode.peak["force_n/left"], episode.peak["force_n/right"]) < 80
+
+
+@pytest.mark.parametrize("arm", [0, 1], ids=["left", "right"])
+def test_one_arm_alone_passes_no_stage(arm):
+    assert reached_alone(ID, arm, duration_s=9.0) == (False, 0)
+
+
+@pytest.mark.parametrize(
+    ("keywords", "message"),
+    [
+        ({"ball_range_m": 1.0}, "ball_range_m"),
+        ({"ball_range_m": 0.125}, "does not fit the tray.* Use ball_range_m=0.12 or less"),
+        ({"success_ball_m": 0.0}, "success_ball_m"),
+        ({"robot": "ur3e"}, "ur3e, cannot reach"),
+    ],
+)
+def test_settings_that_cannot_work_are_refused(keywords, message):
+    with pytest.raises(SettingsError, match=message):
+        gym.make(ID, **keywords)
+
+
+def test_a_level_tray_leaves_the_ball_where_it_was(monkeypatch):
+    monkeypatch.setattr("dual_ur10.tasks.tray_balance.POSITION_GAIN", 0.0)
+    monkeypatch.setattr("dual_ur10.tasks.tray_balance.SPEED_GAIN", 0.0)
+    (episode,) = evaluate(ID, "scripted", episodes=1, env_kwargs={"duration_s": 16.0}).episodes
+    assert (episode.success, episode.best_stage) == (False, 2)

@@ -125,7 +125,7 @@ def constants() -> dict[str, str]:
     from dual_ur10.envs.tasks.observation_layout import ConciseView
     from dual_ur10.ids import ENV_IDS
     from dual_ur10.sim2real.cell import cell_config
-    from dual_ur10.sim2real.control import cartesian_step, clearance, gate, proximity
+    from dual_ur10.sim2real.control import cartesian_step, clearance, coupling, gate, proximity
     from dual_ur10.sim2real.runtime import (
         approach,
         arm_process,
@@ -169,8 +169,8 @@ def constants() -> dict[str, str]:
         "latency_ms": f"{1e3 * cell_config.LATENCY_S:g}",
         "margin_ms": f"{1e3 * runner.MARGIN_S:g}",
         "policy_ms": f"{1e3 * safety_monitor.POLICY_S:g}",
-        "apart_mm": f"{1e3 * safety_monitor.APART_M:g}",
-        "apart_deg": f"{safety_monitor.APART_RAD * 180 / 3.141592653589793:g}",
+        "apart_mm": f"{1e3 * coupling.APART_M:g}",
+        "apart_deg": f"{coupling.APART_RAD * 180 / 3.141592653589793:g}",
         "reduced": {0.5: "half"}[safety_monitor.REDUCED_SCALING],
         "stale_ms": f"{1e3 * arm_sender.STALE_S:g}",
         "gap_mrad": f"{1e3 * arm_sender.START_GAP_RAD:g}",

@@ -8,7 +8,7 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn
 
 import numpy as np
 from gymnasium import spaces
@@ -41,6 +41,9 @@ from dual_ur10.sim2real.control.proximity import ProximityScaling
 from ur_core.kinematics.ur10 import ARMS
 from ur_core.objects import load_object
 from ur_core.types import Array, Mask, Rows
+
+if TYPE_CHECKING:
+    from dual_ur10.sim2real.control.coupling import Coupling
 
 log = logging.getLogger(__name__)
 
@@ -193,6 +196,11 @@ class Core:
         )
         self.task = setup.make_task(n)
         self._clearance = clearance
+        self._coupling: Coupling | None = None
+        if self.task.couples:
+            from dual_ur10.sim2real.control.coupling import Coupling
+
+            self._coupling = Coupling((config.left, config.right))
         self.weights = setup.weights
         self._is_sparse = setup.options.reward == "sparse"
         self._weights = np.array(list(self.weights.values()))
@@ -352,13 +360,14 @@ class Core:
         # If anything fails from here on, pipeline and cell disagree, and a reset is needed.
         before, self._state, self._started = self._state, None, None
         try:
-            command, verdicts = self.pipeline(action, self.task.coupled() if self.task.couples else None)
+            coupled = None if self._coupling is None else self.task.coupled().copy()
+            command, verdicts = self.pipeline(action, coupled)
         except ActionError as error:
             self._state = before  # nothing has moved
             cell.stop(f"the policy's action was refused: {error}")
             raise
         try:
-            command = self._with_load(command)
+            command = self._with_load(command, coupled)
             period = self._advance(cell, command)
         except CellFaulted:
             self._state = before  # a fault persists, and the next step reports it again
@@ -388,6 +397,8 @@ class Core:
         if not math.isfinite(np.vdot(reward, reward)):
             self._refuse_terms(terms_of_arms)
         info = self._measurements(state)
+        if self._coupling is not None and coupled is not None:
+            info.update(self._coupling.values(state.q_rad, period.target_q_rad, coupled))
         info.update(outcome.info)
         info["is_success"] = success
         info["led"] = self.pipeline.led
@@ -415,12 +426,14 @@ class Core:
         nearest = self.pipeline.gate.spare_m[rows].argmin(axis=1)
         return {row: " and ".join(self._clearance.pairs[k]) for row, k in zip(rows.tolist(), nearest, strict=True)}
 
-    def _with_load(self, command: Command) -> Command:
+    def _with_load(self, command: Command, coupled: Mask | None) -> Command:
         """Return a command with the payload that the task declares and, on controllers, the coupling of the arms."""
         payload_kg = self.task.payload_kg()
         if payload_kg is not None:
             command = command._replace(payload_kg=payload_kg)
-        return command._replace(coupled=bool(self.task.coupled()[0])) if self.config.controllers else command
+        if coupled is None or not self.config.controllers:
+            return command
+        return command._replace(coupled=bool(coupled[0]))
 
     def _all_terms(self, terms: Array, refused: Sequence[int], success: Mask) -> Array:
         """Return the terms of the arms with those of refusals and success, as far as there are weights for them."""
@@ -541,6 +554,8 @@ class Core:
                     f"{shape or 'none'}: it must be (n, 2, ...)"
                 )
         nothing = {name: np.zeros(self.n) for name in self._terms}
+        if self._coupling is not None:
+            info = self._coupling.values(self._state.q_rad, None, np.zeros(self.n, dtype=bool)) | info
         return {**info, "is_success": np.zeros(self.n, dtype=bool), "led": np.zeros(self.n, dtype=bool), **nothing}
 
     def cell_data(self, row: int) -> tuple[Any, Any]:

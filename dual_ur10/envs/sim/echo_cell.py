@@ -71,7 +71,7 @@ class EchoCell:
         """Command [now + L, now + L + period), and return what is commanded at the end of [now, now + period)."""
         mirror, command = self._open, self._queue(command)
         motion = self._reference(command.targets_rad)
-        end, speed = motion.rows[0, -3].reshape(2, 6), motion.rows[0, -2].reshape(2, 6)
+        end, speed = motion.end_q_rad[0].reshape(2, 6), motion.end_qd_rad_s[0].reshape(2, 6)
         if command.gripper_m is not None:
             self._gripper_m = command.gripper_m[0, -1]
         self._elapsed += self.ticks
@@ -79,7 +79,7 @@ class EchoCell:
         return CellStep(self._state(mirror, end, speed), trace=trace)
 
     def _traced(self, targets: Array, motion: ReferenceMotion) -> TickTrace:
-        after: Array = np.append(motion.q_rad[0, 1:], motion.rows[:, -3], axis=0).reshape(-1, 2, 6)
+        after: Array = np.append(motion.q_rad[0, 1:], motion.end_q_rad, axis=0).reshape(-1, 2, 6)
         return TickTrace(targets[0].copy(), after, after, motion.qd_rad_s[0].reshape(-1, 2, 6).copy())
 
     def _state(self, mirror: MirrorModel, q_rad: Array, qd_rad_s: Array) -> CellState:

@@ -125,7 +125,8 @@ class MujocoCell:
         physics.advance(motion, command.gripper_m, command.payload_kg)
         trace = self._traced(command.targets_rad, motion) if physics.tracing else None
         self._elapsed += self.ticks * ~physics.failed if np.count_nonzero(physics.failed) else self.ticks
-        return CellStep(physics.state(self._elapsed * self._tick_s, moved=True), trace=trace)
+        state = physics.state(self._elapsed * self._tick_s, moved=True)
+        return CellStep(state, trace=trace, target_q_rad=motion.end_q_rad.reshape(-1, 2, 6))
 
     def record(self) -> None:
         """Return a trace with every step from now on.
@@ -142,9 +143,8 @@ class MujocoCell:
         return self._open.integration_state(0)
 
     def _traced(self, targets: Array, motion: ReferenceMotion) -> TickTrace:
-        substeps, before, speed = self.config.substeps, motion.q_rad, motion.qd_rad_s
-        end = before[:, -1:] + speed[:, -1:] * (self.config.servoj.tick_s / substeps)
-        after = np.concatenate([before, end], axis=1)[0, substeps::substeps]
+        substeps = self.config.substeps
+        after = np.append(motion.q_rad[0], motion.end_q_rad, axis=0)[substeps::substeps]
         trace = self._open.trace
         q, qd = (each[0, substeps - 1 :: substeps].copy() for each in trace) if trace else (np.zeros(0), np.zeros(0))
         return TickTrace(targets[0].copy(), after.reshape(-1, 2, 6), q, qd)

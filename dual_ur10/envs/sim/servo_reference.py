@@ -119,12 +119,15 @@ class ReferenceMotion:
         q_rad: (n, steps, 12) positions before each step.
         qd_rad_s: (n, steps, 12) speeds after it.
         qdd_rad_s2: (n, steps, 12) accelerations in it.
+        end_q_rad: (n, 12) positions after the last step.
+        end_qd_rad_s: (n, 12) speeds of the law then.
     """
 
     def __init__(self, rows: Array) -> None:
         self.rows = rows
         steps = rows.shape[1] // 3 - 1
         self.q_rad, self.qd_rad_s, self.qdd_rad_s2 = (rows[:, k * steps : (k + 1) * steps] for k in range(3))
+        self.end_q_rad, self.end_qd_rad_s = rows[:, -3], rows[:, -2]
 
     def __reduce__(self) -> tuple[type[ReferenceMotion], tuple[Array]]:
         return ReferenceMotion, (self.rows,)  # views of it again, not copies

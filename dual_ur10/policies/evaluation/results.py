@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dual_ur10.errors import SettingsError
+from dual_ur10.sim2real.control.coupling import APART_M, APART_RAD, is_beyond
 from ur_core.files import write_text
 
 if TYPE_CHECKING:
@@ -221,6 +222,12 @@ class Evaluation:
         best = [each.best_stage or 0 for each in self.episodes]
         return {name: sum(stage > k for stage in best) / len(best) for k, name in enumerate(self.stages)}
 
+    @property
+    def apart(self) -> int:
+        """Number of episodes whose coupling error exceeded what two controllers allow: they would stop both arms."""
+        peaks = [each.peak for each in self.episodes]
+        return sum(is_beyond(each.get("coupling_error_m", 0.0), each.get("coupling_error_rad", 0.0)) for each in peaks)
+
     @cached_property
     def spreads(self) -> dict[str, Spread]:
         """The numbers of `info` with a unit over all episodes, by name; see `EpisodeResult.peak`."""
@@ -254,6 +261,7 @@ class Evaluation:
             "cut_short": len(self.cut_short),
             **({"late_actions": self.late_actions} if self.late_actions else {}),
             "stage_scores": self.stage_scores,
+            **({"apart": self.apart} if "coupling_error_m" in self.spreads else {}),
             "spreads": {name: dataclasses.asdict(spread) for name, spread in self.spreads.items()},
         }
         return Summary(figures, self.as_table())
@@ -285,6 +293,9 @@ class Evaluation:
             table.add_row("the first of them", f"seed {first.seed}: {escape(first.ended_by)}")
         if self.late_actions:
             table.add_row("late actions, both arms stopped", str(self.late_actions))
+        if self.apart:
+            limit = f"{1e3 * APART_M:g} mm or {math.degrees(APART_RAD):g}°"
+            table.add_row(f"coupling error above {limit}: controllers stop", str(self.apart))
         if self.spreads:
             table.add_section()
             table.add_row("[dim]peaks of the episodes[/]", "[dim]largest · median · median at the end[/]")

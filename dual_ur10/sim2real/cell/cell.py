@@ -127,6 +127,8 @@ class CellStep(NamedTuple):
         late: True if the command missed its deadline, so that both arms stopped and none of its targets was sent.
         first_target: Number of the command's first target among those sent, or where it would have been; None: the
             recorder counts the targets itself.
+        target_q_rad: (n, 2, 6) joint positions that the controllers want at the end of the step: those of arms without
+            tracking errors; None: where the arms are.
         trace: Every tick of the step; None: not kept.
     """
 
@@ -134,6 +136,7 @@ class CellStep(NamedTuple):
     stopped_q_rad: Array | None = None
     late: bool = False
     first_target: int | None = None
+    target_q_rad: Array | None = None
     trace: TickTrace | None = None
 
 

@@ -255,7 +255,8 @@ class RtdeCell:
                 self._grip(runner, first, command.gripper_m[0, 0])
             end = self._origin + self._elapsed
             runner.wait_for(end)
-            return CellStep(self._state(runner.statuses_after(end)), first_target=first)
+            statuses = runner.statuses_after(end)
+            return CellStep(self._state(statuses), first_target=first, target_q_rad=_targets(statuses))
         except (LinkError, ClosedError) as error:
             self._stop_without_equipment(runner, error)
 
@@ -293,7 +294,9 @@ class RtdeCell:
         self._origin = runner.next - self._elapsed
         runner.cell.expect(self._origin + self._elapsed + self.latency_ticks, live=True)
         try:
-            return CellStep(self._state(runner.statuses()), rest[None], late=True, first_target=first)
+            statuses = runner.statuses()
+            step = CellStep(self._state(statuses), rest[None], late=True, first_target=first)
+            return step._replace(target_q_rad=_targets(statuses))
         except LinkError as error:
             self._stop_without_equipment(runner, error)
 
@@ -411,6 +414,11 @@ class RtdeCell:
             {joint: value for each in seen.values() for joint, value in each.joints.items()},
         )
         return self._mirror.follow(time_s, q, qd / slow, gripper_m=widths, wrench=wrench)
+
+
+def _targets(statuses: Sequence[ArmStatus]) -> Array:
+    """Return the joint positions, (1, 2, 6), that both controllers want."""
+    return np.array([[each.target_q_rad for each in statuses]])
 
 
 def _check_bases(file: CellFile) -> None:

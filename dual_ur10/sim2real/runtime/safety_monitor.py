@@ -8,13 +8,19 @@ from typing import Final
 
 import numpy as np
 
+from dual_ur10.sim2real.control.coupling import (
+    APART_M,
+    APART_RAD,
+    Coupling,
+    RelativePoses,
+    is_beyond,
+    pose_errors,
+)
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_sender import STALE_S, WAITING_S, root_cause
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
 from dual_ur10.sim2real.runtime.tracking import TrackingMonitor
-from ur_core.kinematics.forward import flange_pose_quat
-from ur_core.kinematics.frames import ArmMount, Frames
-from ur_core.kinematics.poses import Poses, length, relative_to, rotation_angle
+from ur_core.kinematics.frames import ArmMount
 from ur_core.kinematics.ur10 import ARMS
 from ur_core.links.arm_status import ArmStatus, program_ended, stop_reason
 from ur_core.processes.machine_load import StallWatch, too_busy
@@ -25,10 +31,6 @@ from ur_core.types import Array
 POLICY_S: Final = 0.5
 """Longest delay of an action before a latched stop of both arms."""
 
-APART_M: Final = 0.01
-APART_RAD: Final = np.deg2rad(3.0)
-"""Largest error of the relative pose of two arms that hold one object."""
-
 BEHIND_S: Final = 0.1
 """Largest common delay of both arms behind the targets sent."""
 
@@ -37,7 +39,7 @@ REDUCED_SCALING: Final = 0.5
 enforce the reduced limits by a stop, and do not slow down a stream of targets."""
 
 APART_S: Final = 0.024
-"""Duration of an error of the relative pose before a stop: three states of a CB3."""
+"""Duration of a coupling error before a stop: three states of a CB3."""
 
 PERIOD_S: Final = 0.004
 """Shortest time between two checks of both arms. Within it, states of a faster controller are checked together."""
@@ -83,7 +85,7 @@ class SafetyMonitor:
         self._latest: list[ArmStatus | None] = [None for _ in arms]
         self._fresh = [False for _ in arms]
         self._apart, self._most_apart = 0, round(APART_S / max(settings.tick_s, PERIOD_S))
-        self._frames = Frames(settings.mounts)
+        self._coupling = Coupling(settings.mounts)
 
     @property
     def moving(self) -> bool:
@@ -164,12 +166,10 @@ class SafetyMonitor:
         self._fresh = [False for _ in ARMS]
         sent = self._sent_for_both(0) if all(memory.sent_count for memory in self._arms) else None
         rows = [[each.q_rad for each in latest], [each.target_q_rad for each in latest]]
-        found, *wanted = _relative_poses(
-            [*rows, *([] if sent is None else [sent])], self._settings.mounts, self._frames
-        )
+        found, *wanted = self._relative_poses([*rows, *([] if sent is None else [sent])])
         errors = [_pose_error(found, each) for each in wanted]
         apart_m, apart_rad = max(errors[0], self._least(errors[1], found) if sent else (0.0, 0.0), key=_fraction)
-        self._apart = self._apart + 1 if apart_m > APART_M or apart_rad > APART_RAD else 0
+        self._apart = self._apart + 1 if is_beyond(apart_m, apart_rad) else 0
         if self._apart < self._most_apart:
             return None
         return (
@@ -177,7 +177,7 @@ class SafetyMonitor:
             f"they should be to each other, allowed are {1e3 * APART_M:g} mm and {np.degrees(APART_RAD):.0f}°"
         )
 
-    def _least(self, error: tuple[float, float], found: Poses) -> tuple[float, float]:
+    def _least(self, error: tuple[float, float], found: RelativePoses) -> tuple[float, float]:
         """Return the error of the relative pose against the targets sent for one common time, m and rad.
 
         A controller's own target does not reveal a delay of the whole arm. The common delay of both arms is not known
@@ -191,9 +191,13 @@ class SafetyMonitor:
         for back in range(1, _DELAYS + 1):
             if _fraction(best) < _NEAR:
                 break
-            (wanted,) = _relative_poses([self._sent_for_both(back)], self._settings.mounts, self._frames)
+            (wanted,) = self._relative_poses([self._sent_for_both(back)])
             best = min(best, _pose_error(found, wanted), key=_fraction)
         return best
+
+    def _relative_poses(self, q_rad: Sequence[Sequence[Sequence[float] | Array]]) -> list[RelativePoses]:
+        """Return the relative poses of both arms at n joint angles of both."""
+        return [RelativePoses(*each) for each in zip(*self._coupling.relative_poses(np.array(q_rad)), strict=True)]
 
     def _sent_for_both(self, back: int) -> list[Array]:
         """Return the targets sent to both arms for one time, (2, 6): the newest, or `back` delays before."""
@@ -202,27 +206,15 @@ class SafetyMonitor:
         return [memory.target(index) for memory in self._arms]
 
 
-def _relative_poses(
-    q_rad: Sequence[Sequence[Sequence[float] | Array]], mounts: Sequence[ArmMount], frames: Frames
-) -> list[Poses]:
-    """Return the poses of the right flange in the frame of the left one at n joint angles of both arms."""
-    q = np.array(q_rad)
-    poses = [flange_pose_quat(q[:, arm], mount.dh) for arm, mount in enumerate(mounts)]
-    position = frames.position_to_cell(np.stack([each[0] for each in poses], axis=1))
-    quat = frames.quat_to_cell(np.stack([each[1] for each in poses], axis=1))
-    relative = relative_to(Poses(position[:, 0], quat[:, 0]), Poses(position[:, 1], quat[:, 1]))
-    return [Poses(*each) for each in zip(*relative, strict=True)]
-
-
-def _pose_error(found: Poses, wanted: Poses) -> tuple[float, float]:
+def _pose_error(found: RelativePoses, wanted: RelativePoses) -> tuple[float, float]:
     """Return the distance of two relative poses, m and rad."""
-    apart = relative_to(wanted, found)
-    return float(length(apart.position_m)), float(rotation_angle(apart.quat))
+    apart_m, apart_rad = pose_errors(found, wanted)
+    return float(apart_m), float(apart_rad)
 
 
 def _fraction(apart: tuple[float, float]) -> float:
     """Return a pose error as a fraction of the allowed one."""
-    return max(apart[0] / APART_M, apart[1] / float(APART_RAD))
+    return max(apart[0] / APART_M, apart[1] / APART_RAD)
 
 
 def _speed_fraction(status: ArmStatus) -> float:

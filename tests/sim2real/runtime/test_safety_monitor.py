@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 
 from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
+from dual_ur10.sim2real.control.coupling import APART_M, APART_RAD
 from dual_ur10.sim2real.control.time_scaling import TimeScaling
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_sender import STALE_S, WAITING_S
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
 from dual_ur10.sim2real.runtime.safety_monitor import (
-    APART_M,
-    APART_RAD,
     POLICY_S,
     REDUCED_SCALING,
     MonitorSettings,

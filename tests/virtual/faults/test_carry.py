@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 
 from dual_ur10 import policies
-from dual_ur10.sim2real.runtime.safety_monitor import _relative_poses
+from dual_ur10.sim2real.control.coupling import Coupling, pose_errors
 from tests import soak
 from tests.virtual.faults.lab import ARMS, VirtualLab
-from ur_core.kinematics.frames import Frames
-from ur_core.kinematics.rotations import quat_conjugate, quat_multiply, quat_to_rotvec
 
 ROD = {"name": "rod", "kind": "capsule", "from_m": [-0.6, 0.0, 0.25], "to_m": [0.6, 0.0, 0.25], "radius_m": 0.01}
 
@@ -49,8 +47,9 @@ def test_arms_are_coupled_from_the_first_action_until_they_rest(lab, monkeypatch
     memory, runner = lab.runner.cell, lab.runner
     assert not memory.coupled
     for _ in range(10):
-        observation = lab.env.step(lab.policy(observation))[0]
+        observation, _, _, _, info = lab.env.step(lab.policy(observation))
         assert memory.coupled
+        assert 0.0 < info["coupling_error_m"] < 1e-3
     end, wait, waited = runner.end, runner.wait_for, []
 
     def wait_for(period):
@@ -94,16 +93,16 @@ def test_34_a_slider_does_not_tear_a_held_object(lab):
     low = max(each.period[0] for each in sent)
     periods = np.arange(low, min(each.period[-1] for each in sent) + 1)
     indices = [np.interp(periods, each.period, each.index) for each in sent]
-    apart_m, apart_rad = [], []
-    for row in range(0, len(periods), 5):
-        # What each was sent, and what it should have been sent were both as far as the left one.
-        was = [memory.target(index[row]) for memory, index in zip(lab.runner.arms, indices, strict=True)]
-        should = [memory.target(indices[0][row]) for memory in lab.runner.arms]
-        found, wanted = _relative_poses([was, should], mounts, Frames(mounts))
-        apart_m.append(np.linalg.norm(found[0] - wanted[0]))
-        apart_rad.append(np.linalg.norm(quat_to_rotvec(quat_multiply(quat_conjugate(wanted[1]), found[1]))))
-    assert max(apart_m) < 1e-3
-    assert max(apart_rad) < np.radians(0.3)
+    # What each was sent, and what it should have been sent were both as far as the left one.
+    arms = list(zip(lab.runner.arms, indices, strict=True))
+    was, should = (
+        np.array([[memory.target(at[row]) for memory, at in pairs] for row in range(0, len(periods), 5)])
+        for pairs in (arms, [(memory, indices[0]) for memory in lab.runner.arms])
+    )
+    coupling = Coupling(mounts)
+    apart_m, apart_rad = pose_errors(coupling.relative_poses(was), coupling.relative_poses(should))
+    assert apart_m.max() < 1e-3
+    assert apart_rad.max() < np.radians(0.3)
 
 
 @pytest.mark.skipif(not soak.SOAK, reason="takes a minute: in a soak")

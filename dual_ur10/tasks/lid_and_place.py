@@ -252,9 +252,10 @@ class LidAndPlace(ur.GraspingTask[LidSettings, LidFacts]):
 
 
 OVER_M, CARRY_M = 0.1, 0.2  # heights of tools above their grips, and of the carried block
-OPENED_RAD, CLOSED_RAD, ASIDE_M, DROP_M = 1.6, -0.02, 0.03, 0.003  # ends of the lid; of the block in the case
+OPENED_RAD, CLOSED_RAD, ASIDE_M, DROP_M = 1.6, 0.01, 0.03, 0.003  # ends of the lid; of the block in the case
 OPEN_S, OVER_S, DOWN_S, CLOSE_S, RELEASE = 5.0, 3.5, 3.0, 6.0, 0.3  # times; opening of the right gripper in the case
 YIELD_M_S_N, NOISE_N = 1e-3, 4.0  # of the left arm on the arc of the tab
+WIDTHS_M = (TAB_M, BLOCK_M)
 LEFT = np.array([[1.0, 1.0, 1.0], [0.0, 0.0, 0.0]])
 
 
@@ -273,7 +274,7 @@ class LidScript(ur.Script):
         grips = ur.pair(self.tab(case, 0.0), ur.compose(block, HELD))
         yield from arms.move(ur.raised(grips, OVER_M))
         yield from arms.line(grips)
-        yield from arms.grip(-1.0)
+        yield from arms.grip(-1.0, width_m=WIDTHS_M)
         yielding = ur.Admittance(arms, YIELD_M_S_N, NOISE_N)
         inside = ur.compose(case, ur.pose((ASIDE_M, 0.0, FLOOR_M + BLOCK_HIGH_M / 2 + DROP_M)))
         taken, placed = ([*each.position_m, 2.0 * np.arctan(each.quat[3] / each.quat[0])] for each in (block, inside))
@@ -282,10 +283,10 @@ class LidScript(ur.Script):
         down, shut = np.array([OPENED_RAD, *placed]), np.array([CLOSED_RAD, *taken]) + lift
         for begin, end, time_s in ((at, up, OPEN_S), (up, down + lift, OVER_S), (down + lift, down, DOWN_S)):
             yield from self.lead(yielding, case, begin, end, time_s)
-        yield from arms.grip(-1.0, RELEASE)
+        yield from arms.grip(-1.0, RELEASE, WIDTHS_M)
         for begin, end, time_s in ((down, down + lift, DOWN_S), (down + lift, up, OVER_S), (up, shut, CLOSE_S)):
             yield from self.lead(yielding, case, begin, end, time_s)
-        yield from arms.grip(1.0)
+        yield from arms.grip(1.0, width_m=WIDTHS_M)
         away_m = np.array([[0.0, 0.0, OVER_M], [0.0, 0.0, 0.0]])
         yield from arms.line(ur.Poses(arms.tools.position_m + away_m, arms.tools.quat))
 

@@ -277,7 +277,7 @@ class PegScript(ur.Script):
         grips = ur.pair(*map(ur.compose, places, (peg, plate)))
         yield from arms.move(ur.raised(grips, 0.1))
         yield from arms.line(grips)
-        yield from arms.grip(-1.0)
+        yield from arms.grip(-1.0, width_m=(WIDTH_M, WIDTH_M))
         yield from arms.line(ur.raised(grips, 0.16))
         yield from arms.line(ur.pair(ur.compose(ur.raised(MEETING, 0.1), peg), ur.compose(MEETING, plate)))
         for _ in range(int(2.0 / period_s)):
@@ -293,7 +293,7 @@ class PegScript(ur.Script):
             angle = SEARCH_RAD_S * searched_s
             aside_m = SEARCH_M_RAD * angle * np.array([np.cos(angle), np.sin(angle)])
             moved_m = np.array([[*aside_m, -down_m], [0.0, 0.0, 0.0]])
-            yield from yielding.step(ur.Poses(tools.position_m + moved_m, tools.quat), SIDEWAYS * entered)
+            yield from yielding.step(ur.Poses(tools.position_m + moved_m, tools.quat), SIDEWAYS)
 
     def hole(self, arms: ur.Motions) -> ur.Array:
         """Return the path from the tip of the peg to the hole, whose z is the depth of the tip, (3,)."""

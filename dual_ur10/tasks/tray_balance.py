@@ -298,7 +298,7 @@ class TrayScript(ur.Script):
         grips = ur.compose(tray, in_tray)
         yield from arms.move(ur.raised(grips, 0.1))
         yield from arms.line(grips)
-        yield from arms.grip(-1.0)
+        yield from arms.grip(-1.0, width_m=(HANDLE_M, HANDLE_M))
         up_m, speed_m_s = np.array([0.0, 0.0, GOAL_M]), np.zeros(2)
         yaw_rad = 2.0 * np.arctan2(goal.quat[3], goal.quat[0])
         for time_s in np.arange(1, 10_000) * period_s:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from typing import TypeAlias
 
 import numpy as np
@@ -28,6 +28,7 @@ _ARRIVED_RAD = 1e-3  # of the command from the wish, at the end of a motion
 _ARRIVED_S = 1.0  # for which a motion waits for that
 _STILL_M = 1e-4  # change of a gripper's width between two observations
 _STILL_S, _MOVED_S, _MOST_S = 0.15, 0.3, 3.0  # of fingers: at rest for, not before, at the latest
+_TOUCH_M = 0.012  # from an object's width, within which fingers are slow: its pose has errors
 
 
 class Motions:
@@ -139,14 +140,33 @@ class Motions:
             yield from self._command(begin + ratio * change, tools)
         yield from self._arrive()
 
-    def grip(self, left: float, right: float | None = None) -> Steps:
+    def grip(self, left: float, right: float | None = None, width_m: Sequence[float] | None = None) -> Steps:
         """Open or close the grippers, and wait until their fingers are at rest, at most 3 s.
+
+        Fingers at their full speed strike an object with many times the force of their grip, and let go of it with a
+        jolt. With its width, they touch and leave it at the least speed of their tool.
 
         Args:
             left: Command of the left gripper, -1 closed to 1 open.
             right: That of the right one; None: the same.
+            width_m: (2,) widths of the objects between the fingers; None: there are none.
         """
-        self.opening = np.array([left, left if right is None else right], dtype=np.float64)
+        goal = np.array([left, left if right is None else right], dtype=np.float64)
+        if width_m is not None:
+            begin, tools, period_s = np.asarray(self.opening), self._script.tools, self.period_s
+            per_m = 2.0 / np.array([tool.stroke_m for tool in tools])
+            step_m = np.array([tool.speed_m_s[0] for tool in tools]) * period_s
+            low, high, way = np.minimum(begin, goal), np.maximum(begin, goal), np.sign(goal - begin)
+            self.opening = np.clip((width_m - way * _TOUCH_M) * per_m - 1.0, low, high)
+            yield from self._fingers_rest()
+            for _ in range(math.ceil(2.0 * _TOUCH_M / step_m.min())):
+                self.opening = np.clip(self.opening + way * step_m * per_m, low, high)
+                yield from self.hold(period_s)
+        self.opening = goal
+        yield from self._fingers_rest()
+
+    def _fingers_rest(self) -> Steps:
+        """Wait until all fingers are at rest."""
         period_s, still_s, time_s = self.period_s, 0.0, 0.0
         while time_s < _MOST_S and (still_s < _STILL_S or time_s < _MOVED_S):
             before_m = self.fields["gripper_m"]

@@ -30,7 +30,7 @@ class Bench:
         self.fields["commanded_q_rad"][:] = home_q_rad(MOUNTS)
         if "gripper_m" in self.fields:
             self.fields["gripper_m"][:] = 0.08
-        self.arms = Motions(self.script, self.fields)
+        self.arms, self.widths_m = Motions(self.script, self.fields), []
 
     def run(self, steps, most=1000):
         """Return the tool poses at the end of each step."""
@@ -41,6 +41,7 @@ class Bench:
             if wish.opening is not None:
                 goal = 0.04 * (1.0 + wish.opening[:, None])
                 fields["gripper_m"] += np.clip(goal - fields["gripper_m"], -0.005, 0.005)
+                self.widths_m.append(fields["gripper_m"][:, 0])
             self.fields = fields
             tools.append(self.tools())
             try:
@@ -157,6 +158,20 @@ def test_grippers_close_until_their_fingers_rest_and_stay_closed():
     bench.run(observed(bench.arms.hold(0.1), seen))
     assert len(seen) == 3
     assert bench.arms.opening.tolist() == [-1.0, 1.0]
+
+
+def test_fingers_touch_and_leave_an_object_at_their_least_speed():
+    bench, width_m = Bench(), np.array([0.02, 0.04])
+    for command in (-1.0, 1.0):
+        bench.widths_m.clear()
+        bench.run(bench.arms.grip(command, width_m=width_m))
+        path_m = np.stack(bench.widths_m)
+        assert np.abs(np.diff(path_m, axis=0)).max() > 0.004  # fast in the air
+        for arm in (0, 1):
+            near = np.abs(path_m[:, arm] - width_m[arm]) < 0.008
+            assert near.sum() > 10
+            assert np.abs(np.diff(path_m[near, arm])).max() <= 0.02 * TIMING.period_s
+    assert bench.arms.opening.tolist() == [1.0, 1.0]
 
 
 def test_a_pose_is_of_the_cell_and_lies_where_it_is_said_to():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
@@ -57,6 +57,12 @@ def ball(radius_m: float) -> ur.Prop:
   </body></worldbody>
 </mujoco>""",
     )
+
+
+SMOOTH = 0.3  # of the measured velocity of the ball, in each step
+BALL_SPEED = ur.Field(
+    "ball_base_m_s", 3, -2.0, 2.0, "velocity (m/s)", "smoothed velocity of the ball from the tray", concise=(0.1,)
+)
 
 
 @dataclass(frozen=True)
@@ -193,6 +199,7 @@ class TrayBalance(ur.GraspingTask[TraySettings, TrayFacts]):
     settled_s = 1.0
     ranges = ("object_range_m", "ball_range_m")
     observed = ("tray", "ball", "goal")
+    further = (BALL_SPEED,)
     grips = (
         ur.Grip("tray", ur.pose((0.0, 0.28, 0.006), DOWN), HANDLE_M),
         ur.Grip("tray", ur.pose((0.0, -0.28, 0.006), DOWN), HANDLE_M),
@@ -200,6 +207,7 @@ class TrayBalance(ur.GraspingTask[TraySettings, TrayFacts]):
 
     def __init__(self, settings: TraySettings, cell: ur.CellConfig, timing: ur.Timing, n: int) -> None:
         super().__init__(settings, cell, timing, n)
+        self.at_m, self.speed_m_s = np.zeros((n, 3)), np.zeros((n, 3))
         left, right = (grip.tool for grip in self.grips)
         places = {}
         for name, height_m, reach_m, turn_rad in (
@@ -229,6 +237,7 @@ class TrayBalance(ur.GraspingTask[TraySettings, TrayFacts]):
         poses = [
             np.concatenate([at, ur.yaw_quat(yaw)], axis=1) for at, yaw in zip((tray, ball, goal), yaws, strict=True)
         ]
+        self.at_m[rows], self.speed_m_s[rows] = (ball - tray)[:, :3], 0.0
         return self.start_at_home(rows, dict(zip(self.observed, poses, strict=True)))
 
     def facts(self, state: ur.CellState, measured: ur.Grasped) -> TrayFacts:
@@ -241,7 +250,13 @@ class TrayBalance(ur.GraspingTask[TraySettings, TrayFacts]):
         force_n = np.linalg.norm(self.forces_n(state), axis=2)
         self.shown = {"force_n": force_n, "ball_m": ball_m, "tray_m": goal_m, "tray_rad": goal_rad}
         height_m, grasping = tray.position_m[:, 2] - LYING_M, self.grasping(measured)
+        before_m, self.at_m = self.at_m, ball.position_m - tray.position_m
+        self.speed_m_s += SMOOTH * ((self.at_m - before_m) / self.timing.period_s - self.speed_m_s)
         return TrayFacts(grasping, measured.holding, height_m, goal_m, goal_rad, ball_m, fell)
+
+    def further_values(self, state: ur.CellState, measured: ur.Grasped) -> Mapping[str, ur.Array]:
+        """Return the velocity of the ball in both bases."""
+        return {BALL_SPEED.name: self.frames.vector_to_base(self.speed_m_s[:, None].clip(-2.0, 2.0))}
 
     @ur.stage(weight=0.2)
     def grasp(self, now: TrayFacts) -> tuple[ur.Number, ur.Progress]:
@@ -282,7 +297,6 @@ class TrayBalance(ur.GraspingTask[TraySettings, TrayFacts]):
 
 LIFT_S, CENTER_S, CARRY_S = 2.0, 1.5, 4.0  # times of the script
 POSITION_GAIN, SPEED_GAIN, TILT_RAD = 0.32, 0.34, 0.05  # of the tilt: rad/m, rad/(m/s), and its limit
-SPEED_FILTER = 0.3
 
 
 class TrayScript(ur.Script):
@@ -293,24 +307,20 @@ class TrayScript(ur.Script):
     def script(self, fields: ur.Fields) -> ur.Steps:
         """Move both arms through one episode."""
         arms, period_s = ur.Motions(self, fields), self.timing.period_s
-        tray, goal, ball_m = arms.pose("tray_base", LYING_M), arms.pose("goal_base"), self.ball(arms)
+        tray, goal = arms.pose("tray_base", LYING_M), arms.pose("goal_base")
         in_tray = ur.pair(*(grip.tool for grip in TrayBalance.grips))
         grips = ur.compose(tray, in_tray)
         yield from arms.move(ur.raised(grips, 0.1))
         yield from arms.line(grips)
         yield from arms.grip(-1.0, width_m=(HANDLE_M, HANDLE_M))
-        up_m, speed_m_s = np.array([0.0, 0.0, GOAL_M]), np.zeros(2)
+        up_m = np.array([0.0, 0.0, GOAL_M])
         yaw_rad = 2.0 * np.arctan2(goal.quat[3], goal.quat[0])
         for time_s in np.arange(1, 10_000) * period_s:
             lifted, carried = ur.least_jerk(np.array([time_s / LIFT_S, (time_s - LIFT_S - CENTER_S) / CARRY_S]))
-            before_m, ball_m = ball_m, self.ball(arms)
-            speed_m_s = speed_m_s + SPEED_FILTER * ((ball_m - before_m) / period_s - speed_m_s)
-            x, y = lifted * (POSITION_GAIN * ball_m + SPEED_GAIN * speed_m_s).clip(-TILT_RAD, TILT_RAD)
+            ball_m = arms.pose("ball_base").position_m - arms.pose("tray_base").position_m
+            tilt_rad = POSITION_GAIN * ball_m + SPEED_GAIN * arms.vector(BALL_SPEED.name)[0]
+            x, y, _ = lifted * tilt_rad.clip(-TILT_RAD, TILT_RAD)
             path_m = lifted * up_m + carried * (goal.position_m - tray.position_m - up_m)
             tilted = ur.Poses(tray.position_m + path_m, ur.quat_from_rotvec(np.array([y, -x, 0.0])))
             turned = ur.Poses(np.zeros(3), ur.yaw_quat(carried * yaw_rad))
             yield from arms.step(ur.compose(ur.compose(tilted, turned), in_tray))
-
-    def ball(self, arms: ur.Motions) -> ur.Array:
-        """Return the position of the ball relative to the tray, x and y of the cell, (2,)."""
-        return (arms.pose("ball_base").position_m - arms.pose("tray_base").position_m)[:2]

@@ -69,6 +69,7 @@ class GraspingTask(StagedTask[SettingsT, Grasped, NowT], Generic[SettingsT, NowT
         grips: Grips of the left and the right arm.
         observed: Names of the props in the observation, those of grips without a `body` among them.
         further: Further fields of an observation, with the values of `further_values`.
+        frames: Frames of the cell and of both bases.
 
     Raises:
         SettingsError: The prop of a grip is not observed, or not in the scene.
@@ -104,9 +105,9 @@ class GraspingTask(StagedTask[SettingsT, Grasped, NowT], Generic[SettingsT, NowT
         parts = iter(range(len(self.observed), len(self.observed) + len(self._parts)))
         first, second = (next(parts) if grip.body else self.observed.index(grip.prop) for grip in self.grips)
         frames = len(self.observed) + len(self._parts)
-        self._frames = Frames(mounts)
+        self.frames = Frames(mounts)
         self._grasps = Grasps(
-            self._frames,
+            self.frames,
             np.tile(np.stack([left.tool.position_m, right.tool.position_m]), (n, 1, 1)),
             (left.width_m, right.width_m),
             frames,
@@ -165,7 +166,7 @@ class GraspingTask(StagedTask[SettingsT, Grasped, NowT], Generic[SettingsT, NowT
 
     def forces_n(self, state: CellState) -> Array:
         """Return the forces of the objects on both grippers, (n, 2, 3) in the cell frame."""
-        return self._frames.vector_to_cell(required(state.wrench)[..., :3])
+        return self.frames.vector_to_cell(required(state.wrench)[..., :3])
 
     def further_values(self, state: CellState, measured: Grasped) -> Mapping[str, Array]:
         """Return the values of the `further` fields, (n, 2, size) each."""

@@ -68,4 +68,4 @@ class Admittance:
         self.force_n = self.force_n + self._ratio * (self._measured_n() - self._zero_n - self.force_n)
 
     def _measured_n(self) -> Array:
-        return rotate(quat_conjugate(self._arms.tools.quat), self._arms.force_n())
+        return rotate(quat_conjugate(self._arms.tools.quat), self._arms.vector("force_n"))

@@ -79,9 +79,9 @@ class Motions:
         cell = Poses(self._frames.position_to_cell(measured.position_m), self._frames.quat_to_cell(measured.quat))
         return Poses(cell.position_m[0], cell.quat[0])
 
-    def force_n(self) -> Array:
-        """Return the forces of the objects on both grippers, (2, 3) in the cell frame, from the field `force_n`."""
-        return self._frames.vector_to_cell(self.fields["force_n"])
+    def vector(self, name: str) -> Array:
+        """Return the vectors, (2, 3) in the cell frame, in a field that gives them in bases, such as `force_n`."""
+        return self._frames.vector_to_cell(self.fields[name])
 
     def step(self, tools: Poses) -> Steps:
         """Command poses of both tools for the end of the next motion of the arms: one action.

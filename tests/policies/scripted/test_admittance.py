@@ -27,7 +27,7 @@ class Springs:
     def hold(self, time_s):
         yield from self.step(self.tools)
 
-    def force_n(self):
+    def vector(self, name):
         axes = rotate(PATH.quat, AHEAD)
         depth_m = np.maximum(np.vecdot(self.past_m[0], axes) - 0.005, 0.0)
         return BIAS_N - self.stiffness_n_m * depth_m[:, None] * axes

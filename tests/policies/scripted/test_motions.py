@@ -185,7 +185,7 @@ def test_a_pose_is_of_the_cell_and_lies_where_it_is_said_to():
     assert lying.position_m == pytest.approx([0.1, 0.2, 0.02])
     assert rotation_angle(relative_to(lying, Poses(lying.position_m, yaw_quat(np.array(0.3)))).quat) < 1e-3
     bench.fields["force_n"][:] = [1.0, 2.0, 3.0]  # base is rotated by 180 degrees
-    np.testing.assert_allclose(bench.arms.force_n(), [[-1.0, -2.0, 3.0]] * 2, atol=1e-12)
+    np.testing.assert_allclose(bench.arms.vector("force_n"), [[-1.0, -2.0, 3.0]] * 2, atol=1e-12)
 
 
 def test_small_helpers():

@@ -200,6 +200,11 @@ class Frames:
         result: Array = (position_m[..., None, :] @ self.rotation)[..., 0, :] + self.base_m
         return result
 
+    def vector_to_base(self, vector: Array) -> Array:
+        """Convert cell frame vectors (..., 2, 3) to each arm's own `base` frame."""
+        result: Array = (vector[..., None, :] @ self.rotation.swapaxes(-1, -2))[..., 0, :]
+        return result
+
     def vector_to_cell(self, vector: Array) -> Array:
         """Convert vectors (..., 2, 3) in each arm's own `base` frame to the cell frame."""
         result: Array = (vector[..., None, :] @ self.rotation)[..., 0, :]

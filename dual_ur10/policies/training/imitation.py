@@ -105,7 +105,13 @@ class Imitator:
         """True if no more samples are needed. Behaviour cloning from a dataset needs no expert."""
         if self._asked.algorithm == "bc" and self._asked.dataset:
             return True
+        if self._demonstrations:
+            return self._rounds * self._asked.envs >= self._demonstrations
         return self._progress.steps >= self._asked.steps
+
+    @property
+    def _demonstrations(self) -> int:
+        return self._settings.demonstrations if self._asked.algorithm == "bc" else 0
 
     def _round(self, env: Any, begun: float) -> None:
         number, asked = self._rounds, self._asked
@@ -146,7 +152,9 @@ class Imitator:
         self._add((found.observation, found.action), begun)
 
     def _rows_of_round(self, horizon: int | None) -> int:
-        """Return the number of episodes of the next round: no more than the steps that are left allow."""
+        """Return the number of episodes of the next round: no more than are asked for, or the steps left allow."""
+        if self._demonstrations:
+            return min(self._asked.envs, self._demonstrations - self._rounds * self._asked.envs)
         left = self._asked.steps - self._progress.steps
         return self._asked.envs if horizon is None else min(self._asked.envs, math.ceil(left / horizon))
 

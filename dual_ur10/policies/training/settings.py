@@ -136,6 +136,7 @@ class Imitation(StrictJson):
             See `dual_ur10.policies.training.regression.Scatter`. It replaces what few demonstrations do not show.
         patience: DAgger: largest difference of any joint's action from the expert's, of 2, at which the network keeps
             driving. Beyond it the expert drives for a while.
+        demonstrations: Behaviour cloning: number of the expert's episodes; 0: as many as the steps hold.
         corrected: DAgger with an operator: episodes that the person keeps between two fits.
         unseen: Fields of an arm's observation (`ObservationLayout`) that the network does not see. An effect of an
             action, such as the speed that it led to, is easier to learn from than its cause, and fails when the network
@@ -151,6 +152,7 @@ class Imitation(StrictJson):
     noise: ActionSize = 0.1
     scatter_rad: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
     patience: ActionSize = 0.4
+    demonstrations: Annotated[int, Field(ge=0, le=10**6)] = 0
     corrected: Count = 5
     unseen: tuple[str, ...] = ()
 

@@ -33,6 +33,7 @@ _COMMANDS: Final[dict[str, dict[str, str]]] = {
         "video Handover --policy learned --cameras front,left/wrist,right/wrist -o handover.mp4": "video:video",
         "rollout Handover --episodes 3 --randomization mild": "rollout:rollout",
         "evaluate SineTracking --policy learned --randomization mild --json sine.json": "evaluate:evaluate",
+        "check-configuration BoxLift --cell cell.toml": "check_configuration:check_configuration",
         "new-task PegInsertion": "new_task:new_task",
     },
     "Learn": {

@@ -11,6 +11,7 @@ a file, with its props and its script.
 
 from dual_ur10.assets.prop import Camera, HeldCapsule, Prop
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, home_q_rad
+from dual_ur10.envs.core.configuration import ConfigurationReport, PairClearance, check_configuration
 from dual_ur10.envs.tasks.geometry import PICKING, FrameDistances, Goal, GoalSteps, Number, numbers, ratio
 from dual_ur10.envs.tasks.grasping import GraspingTask, Grip
 from dual_ur10.envs.tasks.grasps import Grasped, Grasps
@@ -55,6 +56,7 @@ __all__ = [
     "Camera",
     "CellConfig",
     "CellState",
+    "ConfigurationReport",
     "Equipment",
     "Field",
     "Fields",
@@ -75,6 +77,7 @@ __all__ = [
     "Number",
     "ObservationLayout",
     "Outcome",
+    "PairClearance",
     "Poses",
     "Progress",
     "Prop",
@@ -93,6 +96,7 @@ __all__ = [
     "Tool",
     "Wish",
     "arm_values",
+    "check_configuration",
     "check_numbers",
     "check_reach",
     "compose",

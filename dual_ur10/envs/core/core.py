@@ -34,7 +34,6 @@ from dual_ur10.sim2real.cell.cell import Cell, CellState, CellStep
 from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.cell.named_cell import make_cell
 from dual_ur10.sim2real.control.adapter import Command
-from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate, Verdict
 from dual_ur10.sim2real.control.pipeline import ServojPipeline
 from dual_ur10.sim2real.control.proximity import ProximityScaling
@@ -171,7 +170,7 @@ class Core:
         self, task: str, keywords: Mapping[str, Any], *, n: int = 1, threads: int | None = None, autoreset: bool = False
     ) -> None:
         self.setup = setup = EnvSetup.resolve(task, keywords)
-        config, requirements = setup.config, setup.requirements
+        config = setup.config
         self._randomization = setup.randomization
         self.n = n
         self._brakes = setup.brakes
@@ -179,12 +178,7 @@ class Core:
         check_for_controllers(config, n, autoreset=autoreset, randomized=randomized, brakes=self._brakes)
         self.threads = threads = threads or min(n, os.cpu_count() or 1)
         adapter = setup.make_adapter(n, threads)
-        clearance = Clearance(
-            config.measured_scene,
-            minimum_m=config.minimum_clearance_m,
-            closer=requirements.closer,
-            uncertainty=config.uncertainty,
-        )
+        clearance = setup.make_clearance()
         gate = SafetyGate(setup.limits, config.servoj.tick_s, setup.ticks, clearance, n=n, threads=threads)
         proximity = ProximityScaling(clearance, adapter.period_s) if config.controllers else None
         self.pipeline = ServojPipeline(

@@ -18,6 +18,7 @@ from dual_ur10.sim2real.cell.cell_config import CellConfig, HostedCell
 from dual_ur10.sim2real.cell.named_cell import resolve_cell
 from dual_ur10.sim2real.cell.perturbation import Perturbation
 from dual_ur10.sim2real.control.adapter import ServojAdapter, scale_of_steps
+from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.limits import MotionLimits
 from ur_core.objects import load_object
 from ur_core.processes.system import LOCAL, System
@@ -171,6 +172,20 @@ class EnvSetup:
             SettingsError: Or one of its kinds: the arms cannot do it in this cell.
         """
         return self.task_type(self.settings, self.config, self.timing, n)
+
+    def make_clearance(self) -> Clearance:
+        """Make the distances that the safety gate measures in this cell, as near as the task allows.
+
+        Raises:
+            SettingsError: Or one of its kinds: the task names no pair of this scene, or a value is not legal.
+        """
+        config = self.config
+        return Clearance(
+            config.measured_scene,
+            minimum_m=config.minimum_clearance_m,
+            closer=self.requirements.closer,
+            uncertainty=config.uncertainty,
+        )
 
     def make_adapter(self, n: int = 1, threads: int = 1) -> ServojAdapter:
         """Make the adapter from actions to targets for n cells, computed on some threads.

@@ -20,137 +20,58 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy reads it
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
-import dataclasses
 import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dual_ur10 import policies
 from dual_ur10.envs.api.vector_env import DualArmVectorEnv
 from dual_ur10.ids import ENV_IDS
-from ur_core.kinematics.frames import Frames
+from dual_ur10.policies.evaluation.audit.episodes import (
+    FLOORS,
+    JOINTS,
+    SCRIPT,
+    Behaviour,
+    Change,
+    Job,
+    RunningEpisode,
+    hold,
+    part,
+    release,
+    run,
+    stage,
+    until,
+)
 
-Array = NDArray[np.float64]
-JOINTS = 6
 ERRORS_MM = (1, 2, 5, 8, 10, 20, 30, 50, 100)
 PAUSES = (0.1, 0.25, 0.5)
 PARTS = (0.25, 0.5, 0.75)
 PAUSE_STEPS = 50
 
 
-@dataclasses.dataclass
-class Row:
-    """One episode.
-
-    Attributes:
-        rng: Random numbers of this episode.
-        to_base: (2, 3, 3) rotations from the cell frame to the bases.
-        horizon: Steps of an episode.
-        step: Steps so far.
-        fields: Fields of the observation that the script sees, (2, field size) each, which may be changed.
-        action: (2, size) action of both arms, which may be changed.
-        info: Numbers of the last step's `info`.
-        memory: What a behaviour remembers.
-    """
-
-    rng: np.random.Generator
-    to_base: Array
-    horizon: int
-    step: int = 0
-    fields: Mapping[str, Array] = dataclasses.field(default_factory=dict)
-    action: Array = dataclasses.field(default_factory=lambda: np.zeros((2, JOINTS)))
-    info: dict[str, Any] = dataclasses.field(default_factory=dict)
-    memory: dict[str, Any] = dataclasses.field(default_factory=dict)
-
-    @property
-    def joints(self) -> Array:
-        """(2, 6) part of the action that moves joints."""
-        return self.action[:, :JOINTS]
-
-    def direction(self, *, common: bool) -> Array:
-        """Return a random horizontal direction in the bases, (2, 3): one for both arms, or one for each."""
-        if "direction" not in self.memory:
-            drawn = self.rng.normal(size=(1 if common else 2, 3)) * (1.0, 1.0, 0.0)
-            drawn = np.broadcast_to(drawn / np.linalg.norm(drawn, axis=1, keepdims=True), (2, 3))
-            self.memory["direction"] = np.einsum("aij,aj->ai", self.to_base, drawn)
-        found: Array = self.memory["direction"]
-        return found
-
-
-Change = Callable[[Row], None]
-
-
-def _nothing(row: Row) -> None:
-    """Change nothing."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Behaviour:
-    """The scripted policy with changes of what it sees and of what it does.
-
-    Attributes:
-        group: Part of the table.
-        acts: Change of the action.
-        sees: Change of the observation that the script sees.
-        waits: True in steps in which all joints stop, and the script is not asked.
-    """
-
-    group: str
-    acts: Change = _nothing
-    sees: Change = _nothing
-    waits: Callable[[Row], bool] = lambda row: False
-
-
-def zero(row: Row) -> None:
-    """Act with zeros."""
-    row.action[:] = 0.0
-
-
-def uniform(row: Row) -> None:
-    """Act at random."""
-    row.action[:] = row.rng.uniform(-1.0, 1.0, row.action.shape)
-
-
-def normal(row: Row) -> None:
-    """Act at random, less widely."""
-    row.action[:] = row.rng.normal(0.0, 0.3, row.action.shape)
-
-
-def hold(row: Row) -> None:
-    """Stop all joints; the grippers keep their commands."""
-    row.joints[:] = 0.0
-
-
-def release(row: Row) -> None:
-    """Stop all joints and open the grippers."""
-    row.action[:] = 1.0
-    hold(row)
-
-
-def shake(row: Row) -> None:
+def shake(row: RunningEpisode) -> None:
     """Move all joints to and fro."""
     row.joints[:] = 0.3 * (-1.0) ** row.step
 
 
-def cycle(row: Row) -> None:
+def cycle(row: RunningEpisode) -> None:
     """Stop all joints, and close and open the grippers in turn."""
     row.action[:] = -1.0 if row.step // 12 % 2 else 1.0
     hold(row)
 
 
-def pausing(share: float) -> Callable[[Row], bool]:
+def pausing(share: float) -> Callable[[RunningEpisode], bool]:
     """Return the condition of a pause, a share of each two seconds."""
     return lambda row: row.step % PAUSE_STEPS >= PAUSE_STEPS * (1.0 - share)
 
 
-def waiting_after(steps: int) -> Callable[[Row], bool]:
+def waiting_after(steps: int) -> Callable[[RunningEpisode], bool]:
     """Return the condition that a stage was passed so many steps ago or fewer."""
 
-    def waits(row: Row) -> bool:
+    def waits(row: RunningEpisode) -> bool:
         now, (before, since) = row.info.get("stage", 0), row.memory.get("passed", (0, 0))
         if now > before:
             before, since = now, row.step
@@ -163,34 +84,13 @@ def waiting_after(steps: int) -> Callable[[Row], bool]:
 def only(arm: int) -> Change:
     """Return a change that stops the other arm, and opens its gripper."""
 
-    def act(row: Row) -> None:
+    def act(row: RunningEpisode) -> None:
         row.action[1 - arm] = 0.0
 
     return act
 
 
-def until(over: Callable[[Row], bool], instead: Change) -> Change:
-    """Return a change that does something else from when a condition is first true."""
-
-    def act(row: Row) -> None:
-        row.memory["over"] = row.memory.get("over", False) or over(row)
-        if row.memory["over"]:
-            instead(row)
-
-    return act
-
-
-def part(share: float) -> Callable[[Row], bool]:
-    """Return the condition that a share of the episode is over."""
-    return lambda row: row.step >= share * row.horizon
-
-
-def stage(number: int) -> Callable[[Row], bool]:
-    """Return the condition that a number of stages is passed."""
-    return lambda row: row.info.get("stage", 0) >= number
-
-
-def clock(time_s: float) -> Callable[[Row], bool]:
+def clock(time_s: float) -> Callable[[RunningEpisode], bool]:
     """Return the condition that the path's clock has come so far."""
     return lambda row: row.info.get("clock_s", -np.inf) >= time_s
 
@@ -198,7 +98,7 @@ def clock(time_s: float) -> Callable[[Row], bool]:
 def shifted(error_m: float, *names: str, common: bool = False) -> Change:
     """Return a change by which positions are seen with a constant error in a random direction."""
 
-    def see(row: Row) -> None:
+    def see(row: RunningEpisode) -> None:
         for name in names:
             row.fields[name][:] += error_m * row.direction(common=common)
 
@@ -208,7 +108,7 @@ def shifted(error_m: float, *names: str, common: bool = False) -> Change:
 def late(steps: int, *names: str) -> Change:
     """Return a change by which fields are seen some steps later."""
 
-    def see(row: Row) -> None:
+    def see(row: RunningEpisode) -> None:
         seen = row.memory.setdefault("seen", [])
         seen.append([row.fields[name].copy() for name in names])
         for name, value in zip(names, seen[max(0, len(seen) - 1 - steps)], strict=True):
@@ -223,7 +123,7 @@ REFERENCES = "reference_base_m", "ahead_base_m"
 def scaled(factor: Callable[[float], float]) -> Change:
     """Return a change by which references are seen elsewhere on their line, in metres from the centre."""
 
-    def see(row: Row) -> None:
+    def see(row: RunningEpisode) -> None:
         center, along = row.memory.setdefault("center", row.fields[REFERENCES[0]].copy()), row.to_base[:, :, 1]
         for name in REFERENCES:
             away_m = np.vecdot(row.fields[name] - center, along)
@@ -235,7 +135,7 @@ def scaled(factor: Callable[[float], float]) -> Change:
 def waiting(arm: int) -> Change:
     """Return a change by which one arm sees its first references for ever."""
 
-    def see(row: Row) -> None:
+    def see(row: RunningEpisode) -> None:
         center = row.memory.setdefault("center", row.fields[REFERENCES[0]].copy())
         for name in REFERENCES:
             row.fields[name][arm] = center[arm]
@@ -302,13 +202,13 @@ def sync_carry() -> dict[str, Behaviour]:
     """Return what is measured in SyncCarry."""
 
     def beside(error_m: float) -> Change:
-        def see(row: Row) -> None:
+        def see(row: RunningEpisode) -> None:
             grown = float(np.clip(row.info.get("clock_s", -1.0) / 2.0, 0.0, 1.0))
             row.fields["ahead_base_m"][:] += grown * error_m * row.direction(common=True)
 
         return see
 
-    def empty(row: Row) -> None:
+    def empty(row: RunningEpisode) -> None:
         row.action[:, JOINTS:] = 1.0
 
     found = pauses() | {f"{each} mm beside": Behaviour("disturbed", sees=beside(1e-3 * each)) for each in ERRORS_MM}
@@ -330,10 +230,8 @@ def sync_carry() -> dict[str, Behaviour]:
 
 
 COMMON = {
-    "zero": Behaviour("floor", zero),
-    "uniform": Behaviour("floor", uniform),
-    "normal": Behaviour("floor", normal),
-    "script": Behaviour("script"),
+    **FLOORS,
+    "script": SCRIPT,
     "left arm only": Behaviour("disturbed", only(0)),
     "right arm only": Behaviour("disturbed", only(1)),
     **{f"stops after {100 * each:g} %": Behaviour("disturbed", until(part(each), hold)) for each in PARTS},
@@ -365,57 +263,30 @@ def measure(
         For each behaviour arrays (seeds,): `return`, `refusals` (what refused motions cost), `steps`, `success`, and
         means over the steps of numbers in `info` that have one or two values.
     """
-    each = [(behaviour, seed) for behaviour in behaviours.values() for seed in seeds]
     env = DualArmVectorEnv(
-        len(each), env_id, autoreset_mode="Disabled", max_episode_steps=max_episode_steps, **keywords
+        len(behaviours) * len(seeds),
+        env_id,
+        autoreset_mode="Disabled",
+        max_episode_steps=max_episode_steps,
+        **keywords,
     )
-    core = env.core
-    to_base = Frames((core.config.left, core.config.right)).rotation
-    horizon = max_episode_steps or core.task.horizon
-    rows = [Row(np.random.default_rng(seed), to_base, horizon) for _, seed in each]
-    layout = core.task.layout
-    scripts = [policies.load("scripted", env_id) for _ in each]  # one that waits is not asked in every step
-    observation, _ = env.reset(seed=[seed for _, seed in each])
-    totals: dict[str, Array] = {}
-    refusal = core.weights.get("refusal", 0.0)
-    live, steps, success = np.ones(len(each), dtype=bool), np.zeros(len(each)), np.zeros(len(each))
-    earned, count = np.zeros((2, len(each))), len(seeds)
-    action = np.zeros((len(each), *core.action_space.shape))
-    while live.any():
-        for k, (row, script, (behaviour, _)) in enumerate(zip(rows, scripts, each, strict=True)):
-            row.action = action[k].reshape(2, -1)
-            if not live[k] or behaviour.waits(row):
-                hold(row)
-                continue
-            seen = observation[k].copy()
-            row.fields = layout.split(seen)
-            behaviour.sees(row)
-            action[k] = script(seen)
-            behaviour.acts(row)
-        observation, reward, terminated, truncated, info = env.step(action.astype(np.float32))
-        numbers = {name: value for name, value in info.items() if getattr(value, "dtype", None) == np.float64}
-        numbers |= {name: info[name] for name in ("stage",) if name in info}
-        earned += live * np.array([reward, refusal * info["reward/refusal"]])
-        steps += live
-        for name, value in numbers.items():
-            if value.ndim < 3 and value.shape[1:] in ((), (2,)):
-                kept = live.reshape(-1, *[1] * (value.ndim - 1))
-                totals[name] = totals.get(name, 0.0) + np.where(kept, value, 0.0)
-        for k, row in enumerate(rows):
-            row.step += 1
-            row.info = {name: value[k] for name, value in numbers.items()}
-        over = terminated | truncated
-        success = np.where(live & over, info["is_success"], success)
-        live &= ~over
-        if over.any() and live.any():
-            observation, _ = env.reset(options={"reset_mask": over})
+    jobs = [Job(name, behaviour, seed) for name, behaviour in behaviours.items() for seed in seeds]
+    refusal = env.core.weights.get("refusal", 0.0)
+    horizon = max_episode_steps or env.core.task.horizon or 0
+    episodes = run(env, jobs, lambda: policies.load("scripted", env_id), horizon)
     env.close()
-    found = {"return": earned[0], "refusals": earned[1], "steps": steps, "success": success}
-    found |= {name: value / (steps if value.ndim == 1 else steps[:, None]) for name, value in totals.items()}
-    return {
-        name: {key: value[k * count : (k + 1) * count] for key, value in found.items()}
-        for k, name in enumerate(behaviours)
-    }
+    found: dict[str, dict[str, Any]] = {}
+    for name in behaviours:
+        own = [each for each in episodes if each.name == name]
+        figures = {
+            "return": [each.earned for each in own],
+            "refusals": [refusal * each.numbers["reward/refusal"].sum() for each in own],
+            "steps": [each.steps for each in own],
+            "success": [each.success for each in own],
+            **{key: [each.numbers[key].mean(axis=0) for each in own] for key in own[0].numbers},
+        }
+        found[name] = {key: np.array(values, dtype=np.float64) for key, values in figures.items()}
+    return found
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""Tools for tests of your own project: emulated and virtual cells as pytest fixtures, and a check of policies.
+"""Tools for tests of your own project: emulated and virtual cells as pytest fixtures, checks of policies and of tasks.
 
 In a `conftest.py` at the top of the tests:
 
@@ -13,7 +13,7 @@ and in a test:
 
 The fixture `virtual_cell` is the same on a virtual clock, several times as fast as real time and equal to the bit.
 
-`check_policy` needs no pytest.
+`check_policy` and `audit` need no pytest.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ import importlib
 import importlib.util
 from typing import TYPE_CHECKING, Any
 
+from dual_ur10.policies.evaluation.audit.audit import audit
+from dual_ur10.policies.evaluation.audit.report import AuditFinding, AuditReport
 from dual_ur10.policies.evaluation.check import PolicyReport, check_policy
 
 if TYPE_CHECKING:
@@ -33,7 +35,7 @@ if TYPE_CHECKING:
     from dual_ur10.emulated.emulated_cell import CellForTests
     from dual_ur10.emulated.virtual_cell import VirtualCell
 
-__all__ = ["CellForTests", "PolicyReport", "VirtualCell", "check_policy"]
+__all__ = ["AuditFinding", "AuditReport", "CellForTests", "PolicyReport", "VirtualCell", "audit", "check_policy"]
 
 MARKERS = ("emulated_cell", "virtual_cell")
 

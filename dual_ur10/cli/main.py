@@ -35,6 +35,7 @@ _COMMANDS: Final[dict[str, dict[str, str]]] = {
         "evaluate SineTracking --policy learned --randomization mild --json sine.json": "evaluate:evaluate",
         "check-configuration BoxLift --cell cell.toml": "check_configuration:check_configuration",
         "new-task PegInsertion": "new_task:new_task",
+        "audit Handover": "audit:audit",
     },
     "Learn": {
         "train SineTracking --algo ppo --out sine": "train:train",

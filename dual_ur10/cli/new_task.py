@@ -55,7 +55,8 @@ def new_task(
         path.write_text(Template(text).substitute(values))
     console.print(f"wrote [bold cyan]{escape(str(folder))}[/]", highlight=False, soft_wrap=True)
     console.print(
-        f"pip install -e {escape(str(folder))}; python -m dual_ur10 evaluate {env_id}; pytest {escape(str(folder))}",
+        f"pip install -e {escape(str(folder))}; python -m dual_ur10 evaluate {env_id}; pytest {escape(str(folder))}; "
+        f"python -m dual_ur10 audit {env_id}",
         style="dim",
         highlight=False,
         soft_wrap=True,

@@ -261,7 +261,7 @@ class BoxLift(ur.GraspingTask[BoxSettings, BoxFacts]):
         """Place the box upright on its goal, and let go of it."""
         at_goal = (now.goal_m < self.settings.success_error_m) & (now.goal_rad < self.settings.success_turn_rad)
         free = (now.force_n < FREE_N).all(axis=1)
-        return at_goal & free, ur.gaussian(now.goal_m, margin=0.3) * (0.8 + 0.2 * (at_goal & free))
+        return at_goal & free, ur.gaussian(now.goal_m, margin=0.15) * (0.8 + 0.2 * (at_goal & free))
 
     def lost(self, now: BoxFacts) -> ur.Number:
         """Return the rows whose box fell over, or from the table."""

@@ -11,7 +11,12 @@ import pytest
 from tests import scripts
 from tests.cli.command import run
 
-PRINTED = ("pip install -e {}", "python -m dual_ur10 evaluate Lab/ReachBoth-v0", "pytest {}")
+PRINTED = (
+    "pip install -e {}",
+    "python -m dual_ur10 evaluate Lab/ReachBoth-v0",
+    "pytest {}",
+    "python -m dual_ur10 audit Lab/ReachBoth-v0",
+)
 INSTALL = ("--quiet", "--no-deps", "--no-index", "--no-build-isolation", "--no-compile")
 RUN = "import runpy, site, sys; site.addsitedir(sys.argv.pop(1)); runpy.run_module(sys.argv.pop(1), None, '__main__')"
 
@@ -34,8 +39,12 @@ def test_the_printed_commands_work_in_a_process_that_has_not_imported_it(project
         (tmp_path / "reach_both.pth").write_text(f"{project}\n")
     script = tmp_path / "run.py"
     script.write_text(RUN)
-    arguments = [str(tmp_path), *PRINTED[1].split()[2:], "--episodes", "2"]
-    assert "2 of 2" in scripts.run(script, *arguments, folder=tmp_path, output=tmp_path / "output")
+    for command, option, text in (
+        (PRINTED[1], "--episodes=2", "2 of 2"),
+        (PRINTED[3], "--quick", "0 errors, 0 warnings"),
+    ):
+        arguments = [str(tmp_path), *command.split()[2:], option]
+        assert text in scripts.run(script, *arguments, folder=tmp_path, output=tmp_path / "output")
 
 
 def test_its_own_tests_pass(project, tmp_path):

@@ -93,6 +93,7 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
             minus and plus, and which `Randomization.object_spread` widens.
         sampled: Names of all settings that bound what every episode samples between minus and plus.
         horizon: Steps after which the time of an episode runs out; None: not known in advance.
+        accepted: Subjects of findings of `dual_ur10.testing.audit` that are no fault of the task, each with the reason.
 
     Args:
         settings: Values of the task's keywords.
@@ -112,6 +113,7 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
     sampled: ClassVar[tuple[str, ...]] = (*ranges, "target_range_m", "target_turn_rad")
     layout: ObservationLayout
     horizon: int | None = None
+    accepted: ClassVar[Mapping[str, str]] = {}
 
     def __init__(self, settings: SettingsT, cell: CellConfig, timing: Timing, n: int) -> None:
         self.settings, self.cell, self.timing, self.n = settings, cell, timing, n

@@ -93,9 +93,9 @@ def evaluate(
         DualUR10Error: An episode did not end within `max_steps`, or the policy or the environment failed.
     """
     for name, value, least in (("episodes", episodes, 1), ("seed", seed, 0), ("num_envs", num_envs, 1)):
-        _check_whole(name, value, least)
+        check_whole(name, value, least)
     if max_steps is not None:
-        _check_whole("max_steps", max_steps, 1)
+        check_whole("max_steps", max_steps, 1)
     env_id = env_id_beside(policy, env_id)
     if isinstance(policy, str):
         check_name(policy)
@@ -272,7 +272,12 @@ def _by_name(values: Mapping[str, Array], row: int) -> dict[str, float]:
     return result
 
 
-def _check_whole(name: str, value: object, least: int) -> None:
+def check_whole(name: str, value: object, least: int) -> None:
+    """Check that an argument is a whole number.
+
+    Raises:
+        SettingsError: It is not, or below the least one.
+    """
     if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
         raise SettingsError(f"{name} is {value!r}: it must be a whole number, {least} or more")
 

@@ -320,6 +320,7 @@ class Handover(StagedTask[HandoverSettings, HandoverMeasured, Facts]):
     limits: MotionLimits = MotionLimits(
         speed_rad_s=(1.2,) * 6, acceleration_rad_s2=10.0, jerk_rad_s3=2000.0, tcp_speed_m_s=1.5
     )
+    accepted: ClassVar[dict[str, str]] = {"role": "giver='random' changes it"}
     per_arm: ClassVar[tuple[str, ...]] = ("slip_m",)
     settings_type: ClassVar[type[HandoverSettings]] = HandoverSettings
     layout: ObservationLayout = ObservationLayout(

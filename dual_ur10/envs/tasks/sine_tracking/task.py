@@ -181,6 +181,9 @@ class SineTracking(Task[SineSettings, SineMeasured]):
     limits: MotionLimits = MotionLimits(
         speed_rad_s=(1.2,) * 6, acceleration_rad_s2=10.0, jerk_rad_s3=2000.0, tcp_speed_m_s=1.5
     )
+    accepted: ClassVar[dict[str, str]] = {
+        "both as the left arm": "both references move alike, so that equal actions follow both",
+    }
     weights: ClassVar[dict[str, float]] = {"approach": 0.15, "position": 0.75, "synchrony": 0.1}
     per_arm: ClassVar[tuple[str, ...]] = ("flange_error_m", "flange_rms_m", "orientation_error_rad", "reference_m")
     settings_type: ClassVar[type[SineSettings]] = SineSettings

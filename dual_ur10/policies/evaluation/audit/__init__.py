@@ -1,0 +1,1 @@
+"""Audit of tasks: what makes one unlearnable or dishonest."""

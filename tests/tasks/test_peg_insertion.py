@@ -6,7 +6,6 @@ from gymnasium.utils.env_checker import check_env
 
 from dual_ur10.errors import SettingsError
 from dual_ur10.policies import evaluate
-from tests.tasks.one_arm import reached_alone
 
 ID = "DualUR10/PegInsertion-v0"
 
@@ -23,11 +22,6 @@ def test_the_script_succeeds(randomization):
     (episode,) = evaluate(ID, "scripted", episodes=1, env_kwargs=keywords).episodes
     assert episode.success
     assert max(episode.peak["force_n/left"], episode.peak["force_n/right"]) < 40
-
-
-@pytest.mark.parametrize("arm", [0, 1], ids=["left", "right"])
-def test_one_arm_alone_passes_no_stage(arm):
-    assert reached_alone(ID, arm, duration_s=9.0) == (False, 0)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from dual_ur10.errors import PolicyError, SettingsError, UnknownNameError
+from dual_ur10.errors import PolicyError, SettingsError, UnknownNameError, UnreachableError
 from dual_ur10.ids import TASKS
 from dual_ur10.policies import load
 from dual_ur10.tasks import Equipment, Field, SceneRequirements, Wish, gaussian, register, stage, term
@@ -197,6 +197,44 @@ def test_spread_changes_nothing(reach):
             return begun
 
     assert found(audited(Narrow)) == {("randomization", "object_spread")}
+
+
+def test_everything_succeeds(reach):
+    class Given(reach.ReachBoth):
+        @stage(weight=1.0)
+        def reach(self, distance_m):
+            return np.ones(self.n, dtype=bool), 1.0
+
+    report = audited(Given)
+    assert {("cheats", "zero"), ("cheats", "left arm alone"), ("returns", "zero")} <= found(report)
+
+
+def test_a_script_may_fail_where_a_cheat_has_led_it(reach):
+    class Strict(reach.ReachBothScript):
+        def script(self, fields):
+            for wish in super().script(fields):
+                fields = yield wish
+                if np.abs(fields["commanded_q_rad"] - wish.q_rad).max() > 0.02:
+                    raise UnreachableError("somebody else moves the arms")
+
+    assert found(audited(type("Same", (reach.ReachBoth,), {}), Strict)) == set()
+
+
+def test_an_episode_without_a_known_horizon(reach):
+    class Endless(reach.ReachBoth):
+        def __init__(self, *arguments):
+            super().__init__(*arguments)
+            self.horizon = None
+
+    assert found(audited(Endless)) == set()
+
+
+def test_progress_is_shown(reach):
+    shown = []
+    audit(ID, quick=True, on_progress=shown.append)
+    assert shown == sorted(shown)
+    assert len(shown) > 100
+    assert shown[-1] == 1.0
 
 
 def test_there_is_no_script(registries):

@@ -99,12 +99,13 @@ class _Audit:
     ) -> None:
         self._env_id, self._keywords, self._episodes, self._seed = env_id, keywords, episodes, seed
         self._quick, self._on_progress = quick, on_progress
-        self._stepped, self._taken_s = 0, 0.0
+        self._stepped, self._taken_s, self._done = 0, 0.0, 0.0
         with self._make(1) as env:
             core = env.core
             if core.config.kind != "mujoco":
                 raise SettingsError(f"the cell is {core.config.kind!r}: the audit is for cell='mujoco'")
-            self._task, self._weights = core.task, {**core.task.weights}
+            self._task, self._layout = core.task, core.task.layout
+            self._weights = {name: core.weights[name] for name in core.task.weights}
             self._longest = core.task.horizon or math.ceil(_LONGEST_S / core.timing.period_s)
 
     @contextmanager
@@ -119,23 +120,36 @@ class _Audit:
         return load("scripted", self._env_id, **self._keywords)
 
     def _run(
-        self, behaviours: Mapping[str, Behaviour], seeds: Sequence[int], most: int, **keywords: Any
+        self, behaviours: Mapping[str, Behaviour], seeds: Sequence[int], most: int, until: float, **keywords: Any
     ) -> list[AuditEpisode]:
-        """Run an episode of each behaviour with each seed, of at most some steps."""
+        """Run an episode of each behaviour with each seed, of at most some steps.
+
+        Args:
+            behaviours: By name.
+            seeds: Seeds of each.
+            most: Steps after which an episode is cut short.
+            until: Ratio of the audit that is over then.
+            **keywords: Keywords of the environment.
+        """
         jobs = [Job(name, behaviour, each) for name, behaviour in behaviours.items() for each in seeds]
         rounds = math.ceil(len(jobs) / _ROWS)
         script = self._script if any(each.scripted for each in behaviours.values()) else None
         with self._make(math.ceil(len(jobs) / rounds), max_episode_steps=most, **keywords) as env:
             begin_s = time.perf_counter()
-            found = run(env, jobs, script, most)
+            begin, rest = self._done, until - self._done
+            found = run(env, jobs, script, most, lambda done: self._show(begin + rest * done / len(jobs)))
             self._taken_s += time.perf_counter() - begin_s
         self._stepped += sum(each.steps for each in found)
         return found
 
+    def _show(self, ratio: float) -> None:
+        self._done = ratio
+        self._on_progress(ratio)
+
     def report(self, further: Mapping[str, Any]) -> AuditReport:
         """Run everything, and return the report."""
         findings, first = on_randomization(self._make, self._seed)
-        self._on_progress(0.05)
+        self._show(0.03)
         script: list[AuditEpisode] = []
         more = 0 if self._quick else _MORE
         seeds = range(self._seed, self._seed + self._episodes + more)
@@ -163,19 +177,17 @@ class _Audit:
                     )
                 )
             else:
-                script = self._run({"script": SCRIPT}, seeds, self._longest, **AS_ON_CONTROLLERS)
+                script = self._run({"script": SCRIPT}, seeds, self._longest, 0.15, **AS_ON_CONTROLLERS)
         findings += on_actions(self._make, self._seed, script[0] if script else None)
-        self._on_progress(0.15)
         horizon = self._task.horizon or 2 * max((each.steps for each in script), default=self._longest // 2)
         most = min(horizon, math.ceil(_CUT * max(each.steps for each in script))) if self._quick and script else horizon
         found = rules.AuditedEpisodes(script, [], [], horizon, self._task.stages, self._weights, self._task.layout)
         if self._weights:
-            found = found._replace(floors=self._run(FLOORS, seeds, most))
-            self._on_progress(0.3)
+            found = found._replace(floors=self._run(FLOORS, seeds, most, 0.3))
         if script:
             made = cheats_of(self._task.stages, script[0].actions, quick=self._quick)
             tried = range(self._seed + 1, self._seed + 1 + self._episodes)
-            found = found._replace(cheats=self._run(made, tried, most, **AS_ON_CONTROLLERS))
+            found = found._replace(cheats=self._run(made, tried, most, 0.95, **AS_ON_CONTROLLERS))
             for rule in (rules.on_returns, rules.on_camping, rules.on_stages, rules.on_cheats):
                 findings += rule(found)
         if self._weights:
@@ -207,7 +219,7 @@ class _Audit:
                     found=f"{rate:.0f} steps of a cell per second, with the script, on this machine now",
                 )
             )
-        self._on_progress(1.0)
+        self._show(1.0)
         returns = found.returns()
         base = returns.get("script")
         judged = sorted(map(self._accepted, findings), key=lambda each: -SEVERITIES.index(each.severity))

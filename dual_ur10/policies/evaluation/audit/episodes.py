@@ -10,6 +10,7 @@ import numpy as np
 
 from dual_ur10.envs.api.vector_env import DualArmVectorEnv
 from dual_ur10.envs.tasks.observation_layout import ObservationLayout
+from dual_ur10.errors import DualUR10Error
 from dual_ur10.policies.policy import Policy
 from ur_core.kinematics.frames import Frames
 from ur_core.types import Array
@@ -33,6 +34,7 @@ class RunningEpisode:
         info: Numbers of the last step's `info`.
         memory: State of a behaviour.
         changed: The behaviour has changed an action, or does not ask the script.
+        lost: The script cannot go on from where a change has led it, and all joints stop.
     """
 
     rng: np.random.Generator
@@ -45,6 +47,7 @@ class RunningEpisode:
     info: dict[str, Any] = dataclasses.field(default_factory=dict)
     memory: dict[str, Any] = dataclasses.field(default_factory=dict)
     changed: bool = False
+    lost: bool = False
 
     @property
     def joints(self) -> Array:
@@ -262,13 +265,20 @@ def _act(
     row.fields = layout.split(shown)
     if script is not None and row.step == 0:
         script.reset()
-    if behaviour.waits(row):
+    if row.lost or behaviour.waits(row):
         hold(row)
         row.changed = True
         return
     behaviour.sees(row)
     if behaviour.scripted and script is not None:
-        row.action[:] = np.asarray(script(shown)).reshape(row.action.shape)
+        try:
+            row.action[:] = np.asarray(script(shown)).reshape(row.action.shape)
+        except DualUR10Error:
+            if behaviour.group == "script":
+                raise
+            row.lost = row.changed = True
+            hold(row)
+            return
     asked = row.action.copy()
     behaviour.acts(row)
     row.changed = row.changed or not behaviour.scripted or not np.array_equal(asked, row.action)

@@ -105,10 +105,9 @@ def on_returns(run: AuditedEpisodes) -> Iterator[AuditFinding]:
 def on_camping(run: AuditedEpisodes) -> Iterator[AuditFinding]:
     """Find an income without success that is nearly that of success."""
     success = float(np.mean([each.earned for each in run.script]))
-    best = max((run.income(each), f'"{each.name}"') for each in (*run.floors, *run.cheats) if not each.success)
-    for episode in run.script:
-        best = max([best, *_held(run, episode)])
-    income, text = best
+    failed = [(run.income(each), f'"{each.name}"') for each in (*run.floors, *run.cheats) if not each.success]
+    held = [each for episode in run.script for each in _held(run, episode)]
+    income, text = max([*failed, *held], default=(0.0, "nothing"))
     if success < CAMPING_RATIO * income:
         yield AuditFinding(
             severity="warning",
@@ -118,8 +117,9 @@ def on_camping(run: AuditedEpisodes) -> Iterator[AuditFinding]:
             limit=f"{CAMPING_RATIO:g} times",
             remedy="Pay more for the end (`quality` of a StagedTask), or less for each step before it",
         )
-    rate, at = max((float(rate), k) for each in run.script for k, rate in enumerate(each.rewards[:-1]))
-    if run.stages:
+    rates = [(float(rate), k) for each in run.script for k, rate in enumerate(each.rewards[:-1])]
+    if run.stages and rates:
+        rate, at = max(rates)
         yield AuditFinding(
             severity="note",
             rule="camping",

@@ -188,6 +188,10 @@ def attach_own(spec: Any, name: str, tool: Tool, force_n: float) -> None:
         model = own.copy().compile()
     except ValueError as error:
         raise SettingsError(f"mjcf of the tool {tool.name!r} is wrong: {error}") from error
+    if own.cameras:
+        raise SettingsError(
+            f"mjcf of the tool {tool.name!r} has a camera: leave it out, and give the tool a Camera, Tool(cameras=...)"
+        )
     for kind, names in (("body", _BODIES), ("site", _SITES), ("joint", FINGER_JOINTS), ("actuator", ("gripper",))):
         for each in names:
             if getattr(own, kind)(each) is None:

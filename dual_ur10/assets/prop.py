@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from dual_ur10.assets.dm_mjcf import is_dm_mjcf, text_of
-from dual_ur10.errors import SettingsError
+from dual_ur10.errors import SettingsError, UnknownNameError
 from ur_core.kinematics.ur10 import ARMS
+from ur_core.mjcf.camera import Camera, cameras_of
 from ur_core.types import Vector3
 
 _SECTIONS: Final = ("compiler", "asset", "default", "worldbody", "contact", "equality")
@@ -60,38 +60,6 @@ class HeldCapsule:
         object.__setattr__(self, "radius_m", radius_m)
 
 
-@dataclass(frozen=True)
-class Camera:
-    """Camera of a scene, for rendering and for observations of pixels; the cell's z points upwards in its images.
-
-    Attributes:
-        name: Its name.
-        position_m: Position in the cell frame.
-        target_m: Point in the middle of the image.
-        fovy_deg: Vertical field of view.
-
-    Raises:
-        SettingsError: A value is not legal.
-    """
-
-    name: str
-    position_m: Vector3
-    target_m: Vector3
-    fovy_deg: float = 45.0
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.name, str) or _NAME.fullmatch(self.name) is None:
-            raise SettingsError(f"the name of a camera is {self.name!r}: use letters, digits and _, a letter first")
-        for name in ("position_m", "target_m"):
-            object.__setattr__(self, name, _finite(f"{name} of a camera", getattr(self, name), 3))
-        (fovy,) = _finite("fovy_deg of a camera", (self.fovy_deg,), 1)
-        if not 1.0 <= fovy <= 170.0 or self.position_m == self.target_m:
-            raise SettingsError(
-                f"the camera {self.name!r} at {self.position_m} looks at {self.target_m} with {fovy:g}°: the points "
-                "must differ, and the field of view must be 1 to 170°"
-            )
-
-
 @dataclass(frozen=True, kw_only=True)
 class Prop:
     """Object or fixture of a scene: free, fixed, placed, or articulated.
@@ -113,9 +81,11 @@ class Prop:
         noise: Factor on the errors of the measured pose that `Randomization` states.
         mass: Factor on the variation of a free prop's mass that `Randomization` states.
         rigid: True if its contacts are as stiff as the physics step allows; False: as the MJCF has them.
+        cameras: Cameras on the prop, or on one of its bodies, that move with it.
 
     Raises:
         SettingsError: The text is no such MJCF, or another value is not legal.
+        UnknownNameError: The prop has no such body as a camera names.
     """
 
     name: str
@@ -125,6 +95,7 @@ class Prop:
     noise: float = 1.0
     mass: float = 1.0
     rigid: bool = True
+    cameras: tuple[Camera, ...] = ()
     body: str = field(init=False, repr=False, compare=False)
     """Name of its body in the model of the cell."""
     free: bool = field(init=False, repr=False, compare=False)
@@ -149,10 +120,16 @@ class Prop:
         _settle_joints(top, name)
         if any(True for _ in top.iter("camera")):
             raise SettingsError(
-                f"the prop {name!r} has a <camera> in its MJCF: leave it out, and give the task's scene a Camera, "
-                "Equipment(cameras=...), or the tool one that its visuals draw"
+                f"the prop {name!r} has a <camera> in its MJCF: leave it out, and give the prop a Camera, "
+                "Prop(cameras=...), or the task's scene one, Equipment(cameras=...)"
             )
         top.set("name", top.get("name", "body"))
+        object.__setattr__(self, "cameras", cameras_of(self.cameras, f"the prop {name!r}"))
+        named = [str(top.get("name")), *(each.get("name", "") for each in top.iter("body") if each is not top)]
+        for camera in self.cameras:
+            if camera.body and camera.body not in named:
+                known = [each for each in named if each]
+                raise UnknownNameError(f"body of the camera {camera.name!r} of the prop {name!r}", camera.body, known)
         free = [each for each in top if _is_free(each)]
         joints = [each for each in top.iter("joint") if each.get("type", "hinge") != "free"]
         unnamed = [each for each in joints if not each.get("name")]
@@ -178,6 +155,10 @@ class Prop:
         if len(self.held) != 2 or not all(each is None or isinstance(each, HeldCapsule) for each in self.held):
             raise SettingsError(f"held of the prop {name!r} is {self.held!r}: it must be two, each HeldCapsule or None")
         object.__setattr__(self, "held", tuple(self.held))
+
+    def body_named(self, name: str) -> str:
+        """Return the name of one of its bodies in the model of the cell; "": that of the prop itself."""
+        return f"{self.name}/{name}" if name else self.body
 
     @property
     def posed(self) -> bool:
@@ -263,6 +244,8 @@ def _reason(error: Exception) -> str:
 
 
 def _text_of(spec: Any, name: str) -> str:
+    from dual_ur10.assets.dm_mjcf import is_dm_mjcf, text_of
+
     if is_dm_mjcf(spec):
         return text_of(spec, name)
     try:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from dual_ur10.assets.cell_spec import actuator_names, add_obstacles, attach_arm, cell_spec, compiled, joint_names
 from dual_ur10.assets.gripper import add_gripper, attach_own
 from dual_ur10.assets.settings import SceneSettings
-from dual_ur10.assets.visuals import add_surroundings, draw_gripper, use_meshes
+from dual_ur10.assets.visuals import add_cameras, add_surroundings, draw_gripper, use_meshes
 from dual_ur10.errors import DualUR10Error, SettingsError
 from ur_core.kinematics.ur10 import ARMS
 from ur_core.mjcf.arm import arm_spec, remove_visuals
@@ -66,6 +66,7 @@ def compose(settings: SceneSettings, *, visuals: bool = True) -> Any:
     if equipment.grippers:
         _add_wrench_sensors(spec)
     _add_welds(spec, settings)
+    add_cameras(spec, settings, visuals=visuals)
     if settings.meshes and visuals:
         use_meshes(spec)
     return spec

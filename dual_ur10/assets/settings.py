@@ -11,12 +11,13 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.assets.obstacles import Obstacle, checked
-from dual_ur10.assets.prop import Camera, Prop, check_props
+from dual_ur10.assets.prop import Prop, check_props
 from dual_ur10.errors import SettingsError
 from ur_core.kinematics.frames import MAX_MOUNT_M, ArmMount, finite_floats
 from ur_core.kinematics.home import FRONT_M, home_of, reach_ratio
 from ur_core.kinematics.robots import ROBOTS
 from ur_core.kinematics.ur10 import ARMS
+from ur_core.mjcf.camera import Camera, cameras_of
 from ur_core.mjcf.gains import STIFF, Gains, check_gains, check_integrator
 from ur_core.tools.robotiq_2f85 import ROBOTIQ_2F85
 from ur_core.tools.tool import Tool, tools_of
@@ -72,7 +73,7 @@ class Equipment:
             instead of held by friction.
         grip_force_n: Force with which each finger presses.
         tools: Tools of the left and the right arm, as `Tool` or by name.
-        cameras: Further cameras.
+        cameras: Further cameras, in the cell or on any of its bodies.
 
     Raises:
         UnknownNameError: There is no tool of a name.
@@ -100,10 +101,7 @@ class Equipment:
                     f"{' or '.join(f'{arm}/tcp' for arm in ARMS)}, and a site of a prop, such as bar/left_grip; the "
                     f"props are {', '.join(sorted(names)) or 'none'}"
                 )
-        cameras = [each.name if isinstance(each, Camera) else None for each in self.cameras]
-        if None in cameras or len(set(cameras)) < len(cameras):
-            raise SettingsError(f"cameras is {self.cameras!r:.120}: each must be a Camera with a name of its own")
-        object.__setattr__(self, "cameras", tuple(self.cameras))
+        object.__setattr__(self, "cameras", cameras_of(self.cameras, "the scene"))
         (force,) = finite_floats("grip_force_n", (self.grip_force_n,), 1)
         object.__setattr__(self, "tools", tools_of(self.tools))
         for tool in self.tools if self.grippers else DEFAULT_TOOLS:

@@ -8,19 +8,16 @@ from __future__ import annotations
 import importlib.metadata
 import math
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
-import numpy as np
-
-from dual_ur10.assets.prop import Camera
 from dual_ur10.assets.settings import TABLE_THICKNESS_M, SceneSettings
-from dual_ur10.errors import MissingExtraError
+from dual_ur10.errors import MissingExtraError, SettingsError, UnknownNameError
 from ur_core.kinematics.frames import FLOOR_Z_M
 from ur_core.kinematics.ur10 import ARMS
+from ur_core.mjcf.camera import Camera
 from ur_core.objects import load_object
 from ur_core.tools.pen import Pen
 from ur_core.tools.tool import Tool
-from ur_core.types import Vector3
 
 FIXED_CAMERAS: Final = (
     Camera("front", (1.8, 0.0, 1.0), (-0.4, 0.0, 0.3)),
@@ -34,14 +31,70 @@ CAMERAS: Final = tuple(each.name for each in FIXED_CAMERAS)
 """Their names."""
 
 
+class PlacedCamera(NamedTuple):
+    """Camera in the model of a cell.
+
+    Attributes:
+        name: Its name there.
+        body: Name of the body that carries it; "": the cell.
+        camera: The camera.
+    """
+
+    name: str
+    body: str
+    camera: Camera
+
+
+def placed_cameras(settings: SceneSettings) -> tuple[PlacedCamera, ...]:
+    """Return all cameras: fixed ones, with grippers those of the tools, those of props, and the scene's.
+
+    Raises:
+        SettingsError: Two have one name.
+    """
+    equipment = settings.equipment
+    found = [PlacedCamera(each.name, "", each) for each in FIXED_CAMERAS]
+    for arm, tool in zip(ARMS, equipment.tools, strict=True):
+        for each in tool.views if equipment.grippers else ():
+            found.append(PlacedCamera(f"{arm}/{each.name}", f"{arm}/{each.body or 'gripper'}", each))
+    for prop in equipment.props:
+        for each in prop.cameras:
+            found.append(PlacedCamera(f"{prop.name}/{each.name}", prop.body_named(each.body), each))
+    found += [PlacedCamera(each.name, each.body, each) for each in equipment.cameras]
+    names = [each.name for each in found]
+    for name in names:
+        if names.count(name) > 1:
+            raise SettingsError(f"two cameras of the cell are named {name!r}: every scene has {', '.join(CAMERAS)}")
+    return tuple(found)
+
+
 def cameras(settings: SceneSettings) -> tuple[str, ...]:
-    """Return the names of all cameras: fixed ones, with grippers `left/wrist` and `right/wrist`, and the scene's."""
-    wrists = tuple(f"{arm}/wrist" for arm in ARMS) if settings.equipment.grippers else ()
-    return (*CAMERAS, *wrists, *(each.name for each in settings.equipment.cameras))
+    """Return the names of all cameras, such as "front", "left/wrist" and, of a prop, "case/eye"."""
+    return tuple(each.name for each in placed_cameras(settings))
+
+
+def add_cameras(spec: Any, settings: SceneSettings, *, visuals: bool) -> None:
+    """Add all cameras to the spec of a cell that is complete otherwise.
+
+    Args:
+        spec: `MjSpec` of the cell.
+        settings: Settings of the cell.
+        visuals: False: check them only.
+
+    Raises:
+        UnknownNameError: The cell has no body of a camera.
+        SettingsError: Two have one name.
+    """
+    for name, body, camera in placed_cameras(settings):
+        carrier = spec.body(body) if body else spec.worldbody
+        if carrier is None:
+            known = [each.name for each in spec.bodies if each.name and each.name != "world"]
+            raise UnknownNameError(f"body of the camera {name!r}", body, known)
+        if visuals:
+            carrier.add_camera(name=name, pos=camera.position_m, xyaxes=camera.axes, fovy=camera.fovy_deg)
 
 
 def add_surroundings(spec: Any, settings: SceneSettings) -> None:
-    """Add materials, sky, lights, cameras, table legs and pedestals."""
+    """Add materials, sky, lights, table legs and pedestals."""
     spec.stat.center = (-0.2, 0.0, 0.25)
     spec.stat.extent = 1.6
     spec.visual.global_.offwidth = 1920
@@ -62,20 +115,7 @@ def add_surroundings(spec: Any, settings: SceneSettings) -> None:
             specular=(0.2,) * 3,
             castshadow=shadow,
         )
-    for each in (*FIXED_CAMERAS, *settings.equipment.cameras):
-        axes = _camera_axes(each.position_m, each.target_m)
-        spec.worldbody.add_camera(name=each.name, pos=each.position_m, xyaxes=axes, fovy=each.fovy_deg)
     _add_furniture(spec, settings)
-
-
-def _camera_axes(position: Vector3, target: Vector3) -> list[float]:
-    """Return axes x and y of a camera that faces a target, the cell's z (or x, from above) upwards in the image."""
-    backward = np.subtract(position, target)
-    backward /= np.linalg.norm(backward)
-    up = np.array([0.0, 0.0, 1.0]) if abs(backward[2]) < 0.95 else np.array([1.0, 0.0, 0.0])
-    x = np.cross(up, backward)
-    x /= np.linalg.norm(x)
-    return [*x.tolist(), *np.cross(backward, x).tolist()]
 
 
 def _add_materials(spec: Any) -> None:
@@ -137,10 +177,10 @@ def _add_furniture(spec: Any, settings: SceneSettings) -> None:
 
 
 def draw_gripper(arm: Any, tool: Tool) -> None:
-    """Add the visuals of the gripper of one arm's spec, and a camera `wrist`.
+    """Add the visuals of the gripper of one arm's spec.
 
     A tool's own function gets the same arguments. It may add materials, and geoms of the class "visual" to the bodies
-    `gripper`, `finger_1` and `finger_2`; it has to add the camera to the first.
+    `gripper`, `finger_1` and `finger_2`.
 
     Raises:
         SettingsError: The tool's own function cannot be imported.
@@ -154,16 +194,10 @@ def draw_gripper(arm: Any, tool: Tool) -> None:
 
 def _draw_plainly(arm: Any, tool: Tool) -> None:
     """Draw the parts of the figures: coupling, palm, fingers and pads."""
-    palm, radius, tip = Pen(arm, "gripper"), tool.palm_radius_m, tool.fingertip_m
+    palm, tip = Pen(arm, "gripper"), tool.fingertip_m
     (x, y), (width, thick, length) = (size / 2 for size in tool.palm_size_m), tool.pad_m
     palm.disc(0, 0.0, 0.014, 0.0375, "flange")
     palm.box((-x, -y, 0.014), (x, y, tool.palm_m), "housing")
-    arm.body("gripper").add_camera(
-        name="wrist",
-        pos=(-radius, 0, tool.palm_m),
-        xyaxes=_camera_axes((-radius, 0, tool.palm_m), (0, 0, tip)),
-        fovy=72,
-    )
     for i, sign in ((1, 1), (2, -1)):
         pen, half = Pen(arm, f"finger_{i}", sign), tool.finger_width_m / 2
         pen.box((-half, thick, tool.palm_m), (half, tool.finger_thick_m, tip), "tube")

@@ -9,7 +9,7 @@ It holds names only; each is documented where it is defined. Each module of this
 a file, with its props and its script.
 """
 
-from dual_ur10.assets.prop import Camera, HeldCapsule, Prop
+from dual_ur10.assets.prop import HeldCapsule, Prop
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, home_q_rad
 from dual_ur10.envs.core.configuration import ConfigurationReport, PairClearance, check_configuration
 from dual_ur10.envs.tasks.geometry import PICKING, FrameDistances, Goal, GoalSteps, Number, numbers, ratio
@@ -41,6 +41,7 @@ from dual_ur10.sim2real.control.limits import MotionLimits
 from ur_core.kinematics.frames import Frames
 from ur_core.kinematics.poses import Poses, compose, pose, relative_to, rotation_angle, yaw_quat
 from ur_core.kinematics.rotations import quat_conjugate, quat_from_rotvec, quat_multiply, rotate
+from ur_core.mjcf.camera import Camera
 from ur_core.mjcf.gains import COMPLIANT, STIFF, Gains
 from ur_core.tools.tool import Tool
 from ur_core.types import Array, Mask, Rows

@@ -10,7 +10,7 @@ import pytest
 
 from dual_ur10 import CellConfig
 from dual_ur10.assets.collision_model import build_collision_model, clearance_pairs
-from dual_ur10.assets.prop import Camera, HeldCapsule, Prop
+from dual_ur10.assets.prop import HeldCapsule, Prop
 from dual_ur10.assets.scene import build_model
 from dual_ur10.assets.settings import Equipment, SceneSettings, home_q_rad
 from dual_ur10.assets.visuals import cameras
@@ -20,6 +20,7 @@ from dual_ur10.envs.sim.mujoco_cell import MujocoCell
 from dual_ur10.sim2real.cell.cell import Start
 from dual_ur10.sim2real.control.adapter import Command
 from ur_core.errors import SettingsError, UnknownNameError
+from ur_core.mjcf.camera import Camera
 from ur_core.mjcf.gains import STIFF
 
 PEG = Prop(

@@ -11,7 +11,6 @@ import pytest
 
 from dual_ur10.assets.collision_model import build_collision_model, compose_collision_model
 from dual_ur10.assets.obstacles import Box, Capsule, Plane
-from dual_ur10.assets.prop import Camera
 from dual_ur10.assets.props import BAR, BAR_WELDS, BLOCK, TARGET
 from dual_ur10.assets.scene import build_model, compose, sensor_slices
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings, default_mount
@@ -88,7 +87,6 @@ def test_import_is_light_and_quiet():
         (lambda: Equipment(grippers="yes"), SettingsError, "grippers must be True or False, found 'yes'"),
         (lambda: Equipment(grippers=True, props=(BLOCK,), welds=BAR_WELDS), SettingsError, "the props are block"),
         (lambda: Equipment(props=(BAR,), welds=BAR_WELDS), SettingsError, "grippers=False"),
-        (lambda: Equipment(cameras=(Camera("a", (0, 0, 1), (0, 0, 0)),) * 2), SettingsError, "a name of its own"),
         (lambda: Equipment(grip_force_n=19.9), SettingsError, "19.9: must be within 20 to 235 N"),
         (lambda: Equipment(grip_force_n=236), SettingsError, "236: must be within 20 to 235 N"),
         (lambda: Equipment(grip_force_n=np.nan), SettingsError, "finite"),

@@ -17,6 +17,7 @@ from dual_ur10.sim2real.control.adapter import ActionMode, ActionScale, scale_of
 from dual_ur10.sim2real.control.command_queue import checked_latency
 from ur_core.kinematics.robots import robot_model
 from ur_core.kinematics.ur10 import ARMS
+from ur_core.mjcf.camera import Camera
 
 DEFAULT_RATE_HZ = 25.0
 
@@ -81,10 +82,11 @@ class EnvOptions:
             Stable-Baselines3's `MultiInputPolicy` needs it.
         observation_dtype: Type of observed numbers, "float64" or "float32", of all interfaces. None: "float64", but
             "float32" with `observation="goals"`, which has no other.
-        cameras: Cameras of an observation with pixels: names of `dual_ur10.assets.visuals.cameras`.
+        cameras: Cameras of an observation with pixels: names of `dual_ur10.assets.visuals.cameras`, and `Camera`s of
+            your own, in the cell or on one of its bodies. One by itself, or a tuple.
         pixels_rate_hz: Images per second of an observation with pixels, the policy's rate divided by a whole number.
             None: a new image with every observation.
-        camera: Camera of `render`, one of the same names.
+        camera: Camera of `render`, by one of the same names or a `Camera`.
         width, height: Size in pixels of images, both rendered and observed.
         shadows: Render shadows and reflections; see `dual_ur10.envs.rendering.images.Renderer`.
         confirm: Function that is called on two controllers with a text before the arms move to the start of an episode;
@@ -114,9 +116,9 @@ class EnvOptions:
     randomization: object = "none"
     observation: ObservationKind = "state"
     observation_dtype: ObservationDtype | None = None
-    cameras: tuple[str, ...] = ("front",)
+    cameras: tuple[str | Camera, ...] = ("front",)
     pixels_rate_hz: float | None = None
-    camera: str = "perspective"
+    camera: str | Camera = "perspective"
     width: int = 640
     height: int = 480
     shadows: bool = False
@@ -170,17 +172,37 @@ class EnvOptions:
             raise UnknownNameError("reward", str(self.reward), get_args(RewardForm))
         if self.reward_weights is not None:
             object.__setattr__(self, "reward_weights", _checked_weights(self.reward_weights, self.reward))
-        if not isinstance(self.cameras, str | tuple | list):
+        if not isinstance(self.cameras, str | Camera | tuple | list):
             raise SettingsError(f"cameras are {self.cameras!r}: name one, or several in a tuple")
-        cameras = (self.cameras,) if isinstance(self.cameras, str) else tuple(self.cameras)
-        if not cameras or len(set(cameras)) < len(cameras):
-            raise SettingsError(f"cameras are {cameras!r}: name at least one, and each once")
+        cameras = (self.cameras,) if isinstance(self.cameras, str | Camera) else tuple(self.cameras)
+        for each in (*cameras, self.camera):
+            if not isinstance(each, str | Camera):
+                raise SettingsError(f"{each!r:.120} is no camera: name one, or state a Camera")
         object.__setattr__(self, "cameras", cameras)
+        names = self.camera_names
+        if not names or len(set(names)) < len(names):
+            raise SettingsError(f"cameras are {names!r}: name at least one, and each once")
 
     @property
     def concise(self) -> bool:
         """True if the concise view of the task's fields is observed."""
         return self.observation == "goals"
+
+    @property
+    def camera_names(self) -> tuple[str, ...]:
+        """Names of the cameras of an observation with pixels."""
+        return tuple(_name_of(each) for each in self.cameras)
+
+    @property
+    def render_camera(self) -> str:
+        """Name of the camera of `render`."""
+        return _name_of(self.camera)
+
+    @property
+    def own_cameras(self) -> tuple[Camera, ...]:
+        """Cameras that the keywords add to the cell."""
+        found = (each for each in (*self.cameras, self.camera) if isinstance(each, Camera))
+        return tuple(dict.fromkeys(found))  # the same one may be rendered and observed
 
     @property
     def dtype(self) -> np.dtype[Any]:
@@ -211,6 +233,10 @@ class EnvOptions:
     def latency_ticks(self, cell: CellConfig) -> int:
         """Return the latency of actions in this cell, in ticks."""
         return cell.latency_ticks if self.action_latency_ticks is None else self.action_latency_ticks
+
+
+def _name_of(camera: object) -> str:
+    return camera.name if isinstance(camera, Camera) else str(camera)
 
 
 def _checked_weights(weights: object, reward: str) -> dict[str, float]:

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from dual_ur10.assets.scene import build_model
 from dual_ur10.assets.settings import Equipment, default_mount
 from dual_ur10.envs.core.options import MOVE_TO_START, OPTION_NAMES, EnvOptions
 from dual_ur10.envs.core.randomization import Randomization, resolve_randomization
@@ -105,7 +106,12 @@ class EnvSetup:
         randomization = resolve_randomization(options.randomization)
         settings = randomization.spread(task_type.settings_type(**own), own, task_type.ranges)
         requirements = task_type.requirements(settings)
-        config = _cell_of(options).equipped(requirements.equipment, requirements.timestep_s, requirements.gains)
+        equipment = requirements.equipment
+        if options.own_cameras:
+            equipment = dataclasses.replace(equipment, cameras=(*equipment.cameras, *options.own_cameras))
+        config = _cell_of(options).equipped(equipment, requirements.timestep_s, requirements.gains)
+        if options.own_cameras:
+            build_model(config.scene, visuals=False)  # refuses them before anything is connected
         tick_s, latency_ticks = config.servoj.tick_s, options.latency_ticks(config)
         ticks = config.servoj.ticks_per_action(options.policy_rate_hz)
         period_s = ticks * tick_s

@@ -68,11 +68,11 @@ class Observer:
 
     def __init__(self, core: Core) -> None:
         options, known = core.options, cameras(core.config.scene)
-        for camera in options.cameras:
+        for camera in options.camera_names:
             if camera not in known:
-                raise UnknownNameError("camera", str(camera), list(known))
+                raise UnknownNameError("camera", camera, list(known))
         self.core = core
-        self.renderer = Renderer(options.camera, options.width, options.height, options.shadows, cameras=known)
+        self.renderer = Renderer(options.render_camera, options.width, options.height, options.shadows, cameras=known)
         self._every = _periods(1 / core.timing.period_s, options.pixels_rate_hz)
         self._kind = "state" if options.concise else options.observation
         self._age = np.zeros(core.n, dtype=np.int64)  # periods since the episode began
@@ -83,7 +83,7 @@ class Observer:
         if self._kind != "state":
             shape = (options.height, options.width, 3)
             pixels: dict[str, spaces.Space[Any]] = {
-                camera: spaces.Box(0, 255, shape, np.uint8) for camera in options.cameras
+                camera: spaces.Box(0, 255, shape, np.uint8) for camera in options.camera_names
             }
             nested = {"state": core.observation_space, "pixels": spaces.Dict(pixels)}
             self.space = spaces.Dict(nested if self._kind == "both" else self._flat(core.observation_space, pixels))
@@ -151,7 +151,7 @@ class Observer:
             self._painters += [_Painter(core) for _ in range(1, core.threads)]
             self._pool = ThreadPoolExecutor(core.threads, "painter")
         shape = (core.n, options.height, options.width, 3)
-        self._images = self._images or {camera: np.zeros(shape, dtype=np.uint8) for camera in options.cameras}
+        self._images = self._images or {camera: np.zeros(shape, dtype=np.uint8) for camera in options.camera_names}
 
     def close(self) -> None:
         """Release renderer, painters and viewer. May be called twice."""

@@ -10,6 +10,7 @@ from typing import Any, Final, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from dual_ur10.envs.core.options import EnvOptions
 from dual_ur10.envs.core.setup import load_task
 from dual_ur10.errors import CellFileError, DualUR10Error, RecordingError, SettingsError, UnknownNameError
 from dual_ur10.ids import TASKS, is_registered, received
@@ -20,6 +21,7 @@ from dual_ur10.sim2real.recording.header import built, field_types, findings, mo
 from dual_ur10.sim2real.recording.run import Episode, Header, Run
 from ur_core.kinematics.rotations import quat_conjugate, quat_multiply, quat_to_rotvec
 from ur_core.kinematics.ur10 import ARMS, TICK_S
+from ur_core.mjcf.camera import Camera
 from ur_core.servoj import ServojProfile
 
 BASE_M: Final = 0.05
@@ -39,7 +41,9 @@ _VISUAL: Final = (
 )
 """Keywords that change no motion."""
 
-_SIMULATED: Final = ("randomization", "observation", "cameras", "pixels_rate_hz", *_VISUAL)
+_CAMERAS: Final = "cameras"
+
+_SIMULATED: Final = ("randomization", "observation", _CAMERAS, "pixels_rate_hz", *_VISUAL)
 """Keywords without meaning for real arms."""
 
 
@@ -91,19 +95,22 @@ def _keywords_of(header: Header, cell: str | Path | CellConfig | None, needed: i
 
 
 def _typed(keywords: dict[str, Any], header: Header) -> dict[str, Any]:
-    """Return keywords, with those of the task as values of the types that its settings state."""
+    """Return keywords, with those of the task, and cameras, as values of the types that their dataclasses state."""
     settings_type = load_task(header.env_id).settings_type
-    types = field_types(settings_type)
-    own = keywords.keys() & types.keys()
-    for name in own:
+    own = keywords.keys() & field_types(settings_type).keys()
+    cameras = keywords.keys() & {_CAMERAS}
+    types = {**field_types(settings_type), _CAMERAS: tuple[str | Camera, ...]}
+    for name in own | cameras:
         try:
-            keywords[name] = built(types[name], keywords[name])
+            value = keywords[name]
+            keywords[name] = built(types[name], [value] if name == _CAMERAS and isinstance(value, Mapping) else value)
         except (DualUR10Error, LookupError, TypeError, ValueError) as error:
             raise RecordingError(
                 f"the keyword {name} of the recording is not legal: {error}. It is damaged, or of another version"
             ) from error
     try:
         settings_type(**{name: keywords[name] for name in own})  # names are resolved here, where nothing is imported
+        EnvOptions(**{name: keywords[name] for name in cameras})
     except (DualUR10Error, LookupError, TypeError, ValueError) as error:
         raise RecordingError(f"the keywords of the recording are not legal: {error}") from error
     return keywords

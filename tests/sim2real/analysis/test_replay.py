@@ -38,8 +38,10 @@ from tests.assets.test_arm_shape import OWN
 from tests.sim2real.analysis.made import DH, header
 from tests.sim2real.analysis.recorded import record
 from tests.soak import scaled
+from ur_core.mjcf.camera import Camera
 from ur_core.mjcf.gains import STIFF, Gains
 
+EYE = Camera("eye", (0.0, 0.1, 0.3), (0.0, 0.0, 0.0))
 SINE = ENV_IDS[0]
 STEPS = scaled(400)
 
@@ -199,10 +201,11 @@ def test_keywords_that_are_dataclasses_are_those_of_the_replay(tmp_path: Path, r
     register("Lab/WithProps-v0")(WithProps)
     body = "<body pos='0 0 .03'><freejoint/><geom type='box' size='.03 .03 .03' mass='.2'/></body>"
     capsule = HeldCapsule((0, 0, 0), (0, 0, 0.1), 0.02)
-    prop = Prop(name="box", mjcf=f"<mujoco><worldbody>{body}</worldbody></mujoco>", held=(capsule, None), noise=0.5)
+    mjcf = f"<mujoco><worldbody>{body}</worldbody></mujoco>"
+    prop = Prop(name="box", mjcf=mjcf, held=(capsule, None), noise=0.5, cameras=(EYE,))
     keywords = {"prop": prop, "pairs": ((capsule, 1), (None, 2)), "named": {"a": capsule}, "gains": OWN}
-    run = played(tmp_path, "Lab/WithProps-v0", **keywords)
-    assert keywords_of(run.header) == {**keywords, "action_latency_ticks": 0}
+    run = played(tmp_path, "Lab/WithProps-v0", cameras=(EYE, "front"), **keywords)
+    assert keywords_of(run.header) == {**keywords, "cameras": (EYE, "front"), "action_latency_ticks": 0}
     found = replay(run)
     assert found.is_exact, found.difference
     with gym.make("Lab/WithProps-v0", **keywords) as env:

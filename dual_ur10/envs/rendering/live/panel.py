@@ -67,7 +67,7 @@ class Panel:
         self._commander, self._handles, self._stops = commander, handles, "stop" in about.buttons
         self._words = gui.add_html(_table({}))
         gui.add_html(_legend())
-        cameras = *FIXED_CAMERAS, *about.scene.equipment.cameras
+        cameras = *FIXED_CAMERAS, *(each for each in about.scene.equipment.cameras if not each.body)
         viewpoints = {START: None, **{each.name: each for each in cameras}}
         group = gui.add_button_group(
             "View from", tuple(viewpoints), hint="Move this page's viewpoint, not those of others"

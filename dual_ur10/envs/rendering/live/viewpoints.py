@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from dual_ur10.assets.prop import Camera
+from ur_core.mjcf.camera import Camera
 
 CAMERA: Final = (2.3, -2.2, 1.8), (-0.1, 0.25, 0.25)
 """Position of the viewpoint and the point that it looks at, m in the cell frame."""

@@ -8,10 +8,13 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-import numpy as np
-
+from ur_core.mjcf.camera import Camera
 from ur_core.tools.pen import Pen
 from ur_core.tools.tool import Tool
+
+_LENS: Final = (-0.0445, 0.0, 0.078)
+_IN_FRONT_M: Final = 0.002  # from the drawn lens to the point of view
+_AIM: Final = (0.0, 0.0, 0.20 + _IN_FRONT_M)
 
 ROBOTIQ_2F85: Final = Tool(
     name="robotiq_2f85",
@@ -40,6 +43,8 @@ ROBOTIQ_2F85: Final = Tool(
     # servo well damped at any timestep of a few ms.
     armature_kg=1.0,
     visuals="ur_core.tools.robotiq_2f85:draw",
+    # Upwards in the image is away from the base where the arm is at home.
+    cameras=(Camera("wrist", (_LENS[0], 0.0, _LENS[2] + _IN_FRONT_M), _AIM, 72.0, up=(-1.0, 0.0, 0.0)),),
 )
 
 _MATERIALS: Final = {
@@ -52,18 +57,15 @@ _MATERIALS: Final = {
     "glass": ((0.05, 0.07, 0.14, 1), 0.9, 0.9),
 }  # colour, specular, shininess
 
-_LENS: Final = (-0.0445, 0.0, 0.078)
-_LENS_AIM: Final = (0.0, 0.0, 0.20)
-
 
 def draw(arm: Any, tool: Tool) -> None:
-    """Add the visuals of the gripper to an arm's spec, and a camera `wrist`."""
+    """Add the visuals of the gripper to an arm's spec."""
     for name, (rgba, specular, shininess) in _MATERIALS.items():
         arm.add_material(
             name=name, rgba=rgba, specular=specular, shininess=shininess, emission=0.5 if name == "light" else 0.0
         )
     _draw_palm(Pen(arm, "gripper"))
-    _draw_camera(arm.body("gripper"), Pen(arm, "gripper"))
+    _draw_camera(Pen(arm, "gripper"))
     for i, sign in ((1, 1), (2, -1)):
         _draw_finger(Pen(arm, f"finger_{i}", sign), tool)
 
@@ -88,21 +90,12 @@ def _draw_palm(pen: Pen) -> None:
     pen.box((0.0280, -0.020, 0.060), (0.0294, 0.020, 0.074), "housing")  # name plate
 
 
-def _draw_camera(palm: Any, pen: Pen) -> None:
+def _draw_camera(pen: Pen) -> None:
     x, _, z = _LENS
     pen.box((x - 0.0075, -0.017, z - 0.020), (x + 0.0075, 0.017, z - 0.001), "shell")
     pen.box((x + 0.0075, -0.012, z - 0.016), (-0.028, 0.012, z - 0.005), "housing")
     pen.disc(0, z - 0.001, z + 0.001, 0.0058, "steel", x)
     pen.disc(0, z + 0.001, z + 0.0013, 0.0045, "glass", x)
-    forward = np.subtract(_LENS_AIM, _LENS)
-    forward /= np.linalg.norm(forward)
-    # Up in the image is the flange's -x: away from the base where the arm is at home.
-    palm.add_camera(
-        name="wrist",
-        pos=(x, 0, z + 0.002),
-        xyaxes=(0, -1, 0, -forward[2], 0, forward[0]),
-        fovy=72,
-    )
 
 
 def _draw_finger(pen: Pen, tool: Tool) -> None:

@@ -16,11 +16,15 @@ from typing import Any, Final
 import numpy as np
 
 from ur_core.errors import SettingsError, UnknownNameError
+from ur_core.mjcf.camera import Camera, cameras_of
 from ur_core.objects import load_object
 from ur_core.types import Array, Vector3
 
 GROUP: Final = "dual_ur10.tools"
 """Entry-point group of installed packages: name of a tool, and where its `Tool` is."""
+
+WRIST: Final = "wrist"
+"""Name of the camera that every tool has."""
 
 _OWN: Final = {
     "robotiq_2f85": "ur_core.tools.robotiq_2f85:ROBOTIQ_2F85",
@@ -61,6 +65,7 @@ class Tool:
             these figures.
         visuals: "module:function" that draws it, see `dual_ur10.assets.visuals.draw_gripper`; "": drawn from these
             figures.
+        cameras: Cameras on it. One is named "wrist": where it is left out, it looks from the palm at the fingertips.
 
     Raises:
         SettingsError: A value is not legal.
@@ -89,6 +94,7 @@ class Tool:
     armature_kg: float
     mjcf: str = ""
     visuals: str = ""
+    cameras: tuple[Camera, ...] = ()
 
     def __post_init__(self) -> None:
         if not (isinstance(self.name, str) and re.fullmatch(r"[A-Za-z0-9_-]{1,64}", self.name)):
@@ -100,6 +106,8 @@ class Tool:
                 object.__setattr__(self, each.name, value)
             if each.name == "drivers":
                 self._check_drivers(value)
+            elif each.name == "cameras":
+                object.__setattr__(self, "cameras", cameras_of(value, f"the tool {self.name!r}"))
             elif each.type == "str":
                 if not isinstance(value, str):
                     raise SettingsError(f"{each.name} of the tool {self.name!r} is {value!r:.80}: it must be text")
@@ -160,6 +168,15 @@ class Tool:
             raise SettingsError(
                 f"{name} of the tool {self.name!r} is {number:g} m: allowed are {_LEAST_M:g} to {_LARGEST_M:g} m"
             )
+
+    @property
+    def views(self) -> tuple[Camera, ...]:
+        """Its cameras, with that of the wrist."""
+        if any(each.name == WRIST for each in self.cameras):
+            return self.cameras
+        # Upwards in the image is away from the base where the arm is at home.
+        position = (-self.palm_radius_m, 0.0, self.palm_m)
+        return (Camera(WRIST, position, (0.0, 0.0, self.fingertip_m), 72.0, up=(-1.0, 0.0, 0.0)), *self.cameras)
 
     @property
     def fingertip_m(self) -> float:

@@ -15,7 +15,8 @@ CONTACT_M = 0.02  # height of the fingertips above its middle
 TIP_M = 0.019  # tool centre point to fingertip
 YAW_RAD = np.radians(-30.0)  # of the line between the fingertips; along y the left arm would fold onto itself
 START_M, PLACE_M = np.array([-0.15, 0.03, HIGH_M / 2]), np.array([-0.15, -0.13, HIGH_M / 2])  # middles of both ranges
-LIFTED_M, PRESSED_N, FREE_N = 0.08, 20.0, 2.0  # heights and forces that stages count
+LIFTED_M, OVER_GOAL_M, PRESSED_N, FREE_N = 0.08, 0.05, 20.0, 2.0  # distances and forces that stages count
+DROPPED_M_S = 0.5  # speed of a box that falls
 
 GOAL = ur.Prop(
     name="goal",
@@ -114,7 +115,8 @@ class BoxFacts(NamedTuple):
         force_n: (n, 2) force with which each gripper presses the box towards the other.
         height_m: (n,) height of the box above where it stood.
         goal_m, goal_rad: (n,) distance and angle of the box from its goal.
-        tilt: (n,) cosine of the angle of its axis from the vertical.
+        aside_m: (n,) horizontal part of that distance.
+        lost: (n,) True if the box fell over, or from the table, or was dropped.
     """
 
     grasping: ur.Array
@@ -123,7 +125,8 @@ class BoxFacts(NamedTuple):
     height_m: ur.Array
     goal_m: ur.Array
     goal_rad: ur.Array
-    tilt: ur.Array
+    aside_m: ur.Array
+    lost: ur.Mask
 
 
 class BoxLift(ur.GraspingTask[BoxSettings, BoxFacts]):
@@ -152,8 +155,8 @@ class BoxLift(ur.GraspingTask[BoxSettings, BoxFacts]):
     - *reach* (0.2): passed when both closed grippers are at the faces of the box. Each arm: half of the nearness of its
       gripper to its face, 0.2 for closing there, and 0.3 for being there.
     - *press* (0.2): passed when each presses with 20 N towards the other. Both: the lesser fraction of that.
-    - *lift* (0.2): passed when the box is 8 cm above where it stood, pressed with 10 N or more. Both: the fraction of
-      that height, while it is pressed.
+    - *lift* (0.2): passed when the box is 8 cm above the table and over its goal to 5 cm, pressed with 10 N or more.
+      Both: the fraction of that height, half of it times the nearness to the goal, while the box is pressed.
     - *place* (0.4): passed when the box is within `success_error_m` and `success_turn_rad` of its goal, and neither
       gripper exerts more than 2 N. Both: 0.8 of the nearness of the box to its goal, the rest when all is so.
     - *finish* (1.0): at a step that ends an episode with success, the number of its remaining steps; otherwise 0.
@@ -174,7 +177,7 @@ class BoxLift(ur.GraspingTask[BoxSettings, BoxFacts]):
     `info["end_reason"]` is
 
     - "success": all stages were passed, and the box has stood on its goal for 0.5 s;
-    - "box_fell": the box fell over, or from the table;
+    - "box_fell": the box fell over, or from the table, or was dropped (0.5 m/s);
     - "refused/<limit>": with `on_refusal="terminate"`, the safety gate refused a motion; see `info["safety"]`;
     - "physics": the simulation diverged (`info["physics_error"]`).
 
@@ -201,6 +204,7 @@ class BoxLift(ur.GraspingTask[BoxSettings, BoxFacts]):
     def __init__(self, settings: BoxSettings, cell: ur.CellConfig, timing: ur.Timing, n: int) -> None:
         self.grips = grips_of(settings.width_m)  # type: ignore[misc]  # those of the class are of the default box
         super().__init__(settings, cell, timing, n)
+        self.before_m = np.zeros(n)
         reached = {}
         for name, middle_m, range_m, turn_rad in settings.places:
             boxes = ur.Poses(*(part[:, None] for part in ur.corners(middle_m, range_m, turn_rad, YAW_RAD)))
@@ -222,27 +226,26 @@ class BoxLift(ur.GraspingTask[BoxSettings, BoxFacts]):
             shift = unit[:, k] * [range_m, range_m, turn_rad]
             place_m = middle_m + shift * [1.0, 1.0, 0.0]
             objects[name] = np.concatenate([place_m, ur.yaw_quat(YAW_RAD + shift[:, 2])], axis=1)
+        self.before_m[rows] = 0.0
         return self.start_at_home(rows, objects)
 
     def facts(self, state: ur.CellState, measured: ur.Grasped) -> BoxFacts:
         """Compute the facts of this step."""
-        found, goal = state.objects["box"], state.objects["goal"]
-        pushed_n = self.forces_n(state)
-        axis = ur.rotate(found.quat, np.broadcast_to([1.0, 0.0, 0.0], found.position_m.shape))
-        inward = np.stack([axis, -axis], axis=1)
+        found, goal, pushed_n = state.objects["box"], state.objects["goal"], self.forces_n(state)
+        axis, up = (ur.rotate(found.quat, each) for each in ([1.0, 0.0, 0.0], [0.0, 0.0, 1.0]))
         off = ur.relative_to(goal, found)
         goal_m, goal_rad = np.linalg.norm(off.position_m, axis=1), ur.rotation_angle(off.quat)
-        tilt = ur.rotate(found.quat, np.broadcast_to([0.0, 0.0, 1.0], found.position_m.shape))[:, 2]
         force_n, height_m = np.linalg.norm(pushed_n, axis=2), found.position_m[:, 2] - HIGH_M / 2
         self.shown = {"force_n": force_n, "height_m": height_m, "goal_m": goal_m, "goal_rad": goal_rad}
-        pressed_n, grasping = -np.vecdot(pushed_n, inward), self.grasping(measured)
-        return BoxFacts(grasping, measured.holding, pressed_n, height_m, goal_m, goal_rad, tilt)
+        pressed_n, aside_m = -np.vecdot(pushed_n, np.stack([axis, -axis], axis=1)), np.hypot(*off.position_m[:, :2].T)
+        lost = (up[:, 2] < 0.8) | (height_m < -0.05) | (self.before_m - height_m > DROPPED_M_S * self.timing.period_s)
+        self.before_m, grasping = height_m, self.grasping(measured)
+        return BoxFacts(grasping, measured.holding, pressed_n, height_m, goal_m, goal_rad, aside_m, lost)
 
     @ur.stage(weight=0.2)
     def reach(self, now: BoxFacts) -> tuple[ur.Number, ur.Progress]:
         """Bring both closed grippers to the faces of the box."""
-        left, right = now.grasping.T
-        return now.at_face.all(axis=1), (left, right)
+        return now.at_face.all(axis=1), tuple(now.grasping.T)
 
     @ur.stage(weight=0.2)
     def press(self, now: BoxFacts) -> tuple[ur.Number, ur.Progress]:
@@ -252,20 +255,22 @@ class BoxLift(ur.GraspingTask[BoxSettings, BoxFacts]):
 
     @ur.stage(weight=0.2, load_kg=(MASS_KG / 2, MASS_KG / 2), coupled=True)
     def lift(self, now: BoxFacts) -> tuple[ur.Number, ur.Progress]:
-        """Lift the box between both grippers."""
+        """Lift the box between both grippers, and carry it over its goal."""
         both = (now.at_face & (now.force_n > 0.5 * PRESSED_N)).all(axis=1)
-        return both & (now.height_m > LIFTED_M), both * ur.ratio(now.height_m / LIFTED_M)
+        progress = both * ur.ratio(now.height_m / LIFTED_M) * (0.5 + 0.5 * ur.gaussian(now.aside_m, margin=0.3))
+        return both & (now.height_m > LIFTED_M) & (now.aside_m < OVER_GOAL_M), progress
 
     @ur.stage(weight=0.4, load_kg=(MASS_KG / 2, MASS_KG / 2), coupled=True)
     def place(self, now: BoxFacts) -> tuple[ur.Number, ur.Progress]:
         """Place the box upright on its goal, and let go of it."""
         at_goal = (now.goal_m < self.settings.success_error_m) & (now.goal_rad < self.settings.success_turn_rad)
         free = (now.force_n < FREE_N).all(axis=1)
-        return at_goal & free, ur.gaussian(now.goal_m, margin=0.15) * (0.8 + 0.2 * (at_goal & free))
+        near = ur.gaussian(now.goal_m + 0.1 * now.goal_rad, margin=0.15)
+        return at_goal & free, near * (0.8 + 0.2 * (at_goal & free))
 
     def lost(self, now: BoxFacts) -> ur.Number:
-        """Return the rows whose box fell over, or from the table."""
-        return (now.tilt < 0.8) | (now.height_m < -0.05)
+        """Return the rows whose box fell over, or from the table, or was dropped."""
+        return now.lost
 
     def failure(self, row: int, outcome: ur.Outcome) -> str:
         """Return the name of the failure."""

@@ -14,6 +14,7 @@ INNER_M, FLOOR_M = 0.18, 0.01  # sides of the inside of the case, and its floor
 HINGE_M = np.array([-0.1, 0.0, 0.086])  # in the case
 TAB_M, BLOCK_M, BLOCK_HIGH_M, BLOCK_KG = 0.02, 0.04, 0.06, 0.3
 OPEN_RAD, SHUT_RAD = 1.2, 0.05  # angles beyond which the lid is open, and below which it is closed
+DROPPED_M_S = 0.5  # speed of a block that falls
 CASE_YAW_RAD = np.radians(-35.0)
 HOLDING = ur.pose((0.17, 0.0, 0.035), (0.0, 0.0, 1.0, 0.0))  # the left tool on the tab, in the frame of the lid
 HELD = ur.pose((0.0, 0.0, 0.01), (0.0, 1.0, 0.0, 0.0))  # the right tool on the block, fingertips 2 cm above the table
@@ -81,7 +82,7 @@ class LidFacts(NamedTuple):
         lid_rad: (n,) angle of the lid.
         off_m: (n,) distance of the block from the middle of the floor of the case.
         inside: (n,) True if the block is within the walls of the case.
-        lost: (n,) True if the lid slammed, or the block fell from the table.
+        lost: (n,) True if the lid slammed, or the block was dropped, or fell from the table.
     """
 
     grasping: ur.Array
@@ -143,7 +144,8 @@ class LidAndPlace(ur.GraspingTask[LidSettings, LidFacts]):
     `info["end_reason"]` is
 
     - "success": all stages were passed, and the lid has been closed over the block for 0.5 s;
-    - "lid_slammed": the lid closed faster than `slam_rad_s`; "block_fell": the block fell from the table;
+    - "lid_slammed": the lid closed faster than `slam_rad_s`;
+    - "block_fell": the block was dropped (0.5 m/s), or fell from the table;
     - "refused/<limit>": with `on_refusal="terminate"`, the safety gate refused a motion; see `info["safety"]`;
     - "physics": the simulation diverged (`info["physics_error"]`).
 
@@ -170,7 +172,7 @@ class LidAndPlace(ur.GraspingTask[LidSettings, LidFacts]):
 
     def __init__(self, settings: LidSettings, cell: ur.CellConfig, timing: ur.Timing, n: int) -> None:
         super().__init__(settings, cell, timing, n)
-        self.before_rad, self.slammed = np.zeros(n), np.zeros(n, dtype=bool)
+        self.before_rad, self.before_m, self.slammed = np.zeros(n), np.zeros(n), np.zeros(n, dtype=bool)
         ranges = settings.object_range_m, settings.object_turn_rad
         cases = ur.corners(PLACES_M["case"], *ranges, CASE_YAW_RAD)
         taken = ur.compose(ur.corners(PLACES_M["block"], *ranges), HELD)
@@ -194,7 +196,7 @@ class LidAndPlace(ur.GraspingTask[LidSettings, LidFacts]):
         for k, (name, yaw_rad) in enumerate((("case", CASE_YAW_RAD), ("block", 0.0))):
             place_m = shift[:, k] * [1.0, 1.0, 0.0] + np.array(PLACES_M[name])
             objects[name] = np.concatenate([place_m, ur.yaw_quat(yaw_rad + shift[:, k, 2])], axis=1)
-        self.before_rad[rows] = 0.0
+        self.before_rad[rows], self.before_m[rows] = 0.0, BLOCK_HIGH_M / 2
         return self.start_at_home(rows, objects)
 
     def facts(self, state: ur.CellState, measured: ur.Grasped) -> LidFacts:
@@ -206,7 +208,9 @@ class LidAndPlace(ur.GraspingTask[LidSettings, LidFacts]):
         off_m = np.linalg.norm(at_m - [0.0, 0.0, FLOOR_M + BLOCK_HIGH_M / 2], axis=1)
         inside = (np.abs(at_m[:, :2]) < (INNER_M - BLOCK_M) / 2).all(axis=1) & (at_m[:, 2] < HINGE_M[2] - 0.02)
         self.shown = {"force_n": np.linalg.norm(self.forces_n(state), axis=2), "lid_rad": lid_rad, "block_m": off_m}
-        lost = self.slammed | (block.position_m[:, 2] < 0.0)
+        height_m = block.position_m[:, 2].copy()
+        lost = self.slammed | (height_m < 0.0) | (self.before_m - height_m > DROPPED_M_S * self.timing.period_s)
+        self.before_m = height_m
         return LidFacts(self.grasping(measured), measured.holding, lid_rad, off_m, inside, lost)
 
     @ur.stage(weight=0.1)
@@ -235,7 +239,7 @@ class LidAndPlace(ur.GraspingTask[LidSettings, LidFacts]):
         return shut & ~now.holds.any(axis=1), now.inside * (0.8 * (1.0 - ur.ratio(now.lid_rad / OPEN_RAD)) + 0.2 * shut)
 
     def lost(self, now: LidFacts) -> ur.Number:
-        """Return the rows whose lid slammed, or whose block fell from the table."""
+        """Return the rows whose lid slammed, or whose block was dropped, or fell from the table."""
         return now.lost
 
     def failure(self, row: int, outcome: ur.Outcome) -> str:

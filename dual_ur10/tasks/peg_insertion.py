@@ -98,6 +98,7 @@ class PegFacts(NamedTuple):
         lifted: (n, 2) height of each object above where it stood, 1 once it is lifted.
         aside_m: (n,) distance of the tip of the peg from the axis of the hole.
         depth_m: (n,) its depth below the upper face of the plate.
+        through: (n,) True if the peg is along the axis of the hole, and its other end above the plate.
     """
 
     grasping: ur.Array
@@ -105,6 +106,7 @@ class PegFacts(NamedTuple):
     lifted: ur.Array
     aside_m: ur.Array
     depth_m: ur.Array
+    through: ur.Mask
 
 
 class PegInsertion(ur.GraspingTask[PegSettings, PegFacts]):
@@ -133,10 +135,10 @@ class PegInsertion(ur.GraspingTask[PegSettings, PegFacts]):
     - *grasp* (0.2): passed when both grippers hold their objects. Each arm: half of the nearness of its tool to its
       grip, 0.2 for closing there, and 0.3 for holding it.
     - *lift* (0.2): passed when both are held and 10 cm higher than where they stood. Each arm: the fraction of that.
-    - *align* (0.2): passed when the tip of the peg is less than 30 mm above the plate and 5 mm beside the axis of the
-      hole. Both: nearness of the tip to the hole, while both are held.
-    - *insert* (0.4): passed when the tip is 30 mm below the upper face of the plate, with both held, off the table.
-      Both: the fraction of that depth.
+    - *align* (0.2): passed when the tip of the peg is less than 30 mm from the upper face of the plate and 5 mm from
+      the axis of the hole. Both: nearness of the tip to the hole, while both are held.
+    - *insert* (0.4): passed when the tip is 30 mm below the upper face of the plate on the axis of the hole, the other
+      end above it, and both held, off the table. Both: the fraction of that depth.
     - *finish* (1.0): at a step that ends an episode with success, the number of its remaining steps; otherwise 0.
 
     `info["stage"]` is the number of stages passed in their order, 0 to 4. `info` also holds, without noise, `aside_m`,
@@ -213,12 +215,13 @@ class PegInsertion(ur.GraspingTask[PegSettings, PegFacts]):
     def facts(self, state: ur.CellState, measured: ur.Grasped) -> PegFacts:
         """Compute the facts of this step."""
         peg, hole = state.objects["peg"], state.objects["plate"]
-        at_m = ur.relative_to(hole, ur.compose(peg, ur.pose((0.0, 0.0, -PEG_M / 2)))).position_m
+        at_m, quat = ur.relative_to(hole, ur.compose(peg, ur.pose((0.0, 0.0, -PEG_M / 2))))
         heights_m = np.stack([state.objects[name].position_m[:, 2] - STAND_M[name] for name in self.observed], axis=1)
         aside_m, depth_m = np.linalg.norm(at_m[:, :2], axis=1), PLATE_M / 2 - at_m[:, 2]
         force_n = np.linalg.norm(self.forces_n(state), axis=2)
         self.shown = {"force_n": force_n, "aside_m": aside_m, "depth_m": depth_m}
-        return PegFacts(self.grasping(measured), measured.holding, heights_m / 0.1, aside_m, depth_m)
+        through = (ur.rotate(quat, [0.0, 0.0, 1.0])[:, 2] > 0.9) & (depth_m < PEG_M - PLATE_M)
+        return PegFacts(self.grasping(measured), measured.holding, heights_m / 0.1, aside_m, depth_m, through)
 
     @ur.stage(weight=0.2)
     def grasp(self, now: PegFacts) -> tuple[ur.Number, ur.Progress]:
@@ -235,13 +238,13 @@ class PegInsertion(ur.GraspingTask[PegSettings, PegFacts]):
     @ur.stage(weight=0.2, load_kg=LOADS_KG)
     def align(self, now: PegFacts) -> tuple[ur.Number, ur.Progress]:
         """Bring the tip of the peg above the hole."""
-        above = (now.depth_m < 0.0) & (now.depth_m > -0.03) & (now.aside_m < 0.005)
-        return above, now.holds.all(axis=1) * ur.gaussian(now.aside_m + np.abs(now.depth_m), margin=0.3)
+        near = (np.abs(now.depth_m) < 0.03) & (now.aside_m < 0.005)
+        return near, now.holds.all(axis=1) * ur.gaussian(now.aside_m + np.abs(now.depth_m), margin=0.3)
 
     @ur.stage(weight=0.4, load_kg=LOADS_KG, coupled=True)
     def insert(self, now: PegFacts) -> tuple[ur.Number, ur.Progress]:
         """Insert the peg, with both objects off the table."""
-        held = (now.holds & (now.lifted > 0.5)).all(axis=1) & (now.aside_m < 0.005)
+        held = (now.holds & (now.lifted > 0.5)).all(axis=1) & now.through & (now.aside_m < 0.005)
         return held & (now.depth_m > DEPTH_M), held * ur.ratio(now.depth_m / DEPTH_M)
 
     def lost(self, now: PegFacts) -> ur.Number:
@@ -258,10 +261,11 @@ class PegInsertion(ur.GraspingTask[PegSettings, PegFacts]):
 
 
 START_M, INSERT_M_S = 0.008, 0.015  # height of the tip above the plate before the insertion, and its speed
-SEARCH_N, ENTERED_M = 5.0, 0.004  # force at which the tip is beside the hole, and depth at which it is in it
-SEARCH_RAD_S, SEARCH_M_RAD = 1.5, 0.0007  # of the spiral on which it searches the hole
-YIELD_M_S_N, NOISE_N = 1e-3, 2.0  # speed for a force from the side, and forces that do not count
-SIDEWAYS = np.array([[1.0, 1.0, 0.0], [0.0, 0.0, 0.0]])  # axes of the tools along which the peg in the hole yields
+SEARCH_N, ENTERED_M = 5.0, 0.004  # force at which the tip is beside the hole; depth below there at which it is in it
+SEARCH_RAD_S, SEARCH_M, SEARCH_S = 1.5, 0.008, 12.0  # of the spiral on which it searches the hole, and back
+CAUGHT_N = 6.0  # force from the side of a tip at the edge of the hole, at which the search waits
+YIELD_M_S_N, NOISE_N = 1e-3, 2.0  # speed for the error of a force, and errors that do not count
+PUSHING_N = np.array([[0.0, 0.0, -SEARCH_N], [0.0, 0.0, 0.0]])
 
 
 class PegScript(ur.Script):
@@ -283,17 +287,21 @@ class PegScript(ur.Script):
         for _ in range(int(2.0 / period_s)):
             moved_m = np.array([self.hole(arms) + np.array([0.0, 0.0, START_M]), np.zeros(3)])
             yield from arms.follow(ur.Poses(arms.tools.position_m + moved_m, arms.tools.quat))
-        yielding, tools, searched_s, down_m = ur.Admittance(arms, YIELD_M_S_N, NOISE_N), arms.tools, 0.0, 0.0
+        yielding, tools = ur.Admittance(arms, YIELD_M_S_N, NOISE_N), arms.tools
+        searched_s, down_m, touched_m = 0.0, 0.0, np.inf
         while True:
-            entered = self.hole(arms)[2] > ENTERED_M
-            if -yielding.force_n[0, 2] < SEARCH_N or entered:
-                down_m = min(down_m + INSERT_M_S * period_s, START_M + DEPTH_M + 0.01)
-            else:
+            depth_m, touches = self.hole(arms)[2], -yielding.force_n[0, 2] > SEARCH_N
+            touched_m = min(touched_m, depth_m) if touches else touched_m
+            entered = depth_m > touched_m + ENTERED_M
+            if entered or not touches:
+                down_m = min(down_m + INSERT_M_S * period_s, START_M + DEPTH_M + 0.02)
+            elif np.hypot(*yielding.force_n[0, :2]) < CAUGHT_N:
                 searched_s += period_s
-            angle = SEARCH_RAD_S * searched_s
-            aside_m = SEARCH_M_RAD * angle * np.array([np.cos(angle), np.sin(angle)])
+            angle, radius_m = SEARCH_RAD_S * searched_s, SEARCH_M * np.sin(0.5 * np.pi * searched_s / SEARCH_S)
+            aside_m = radius_m * np.array([np.cos(angle), np.sin(angle)])
             moved_m = np.array([[*aside_m, -down_m], [0.0, 0.0, 0.0]])
-            yield from yielding.step(ur.Poses(tools.position_m + moved_m, tools.quat), SIDEWAYS)
+            free = np.array([[1.0, 1.0, not entered], [0.0, 0.0, 0.0]])
+            yield from yielding.step(ur.Poses(tools.position_m + moved_m, tools.quat), free, PUSHING_N)
 
     def hole(self, arms: ur.Motions) -> ur.Array:
         """Return the path from the tip of the peg to the hole, whose z is the depth of the tip, (3,)."""

@@ -155,7 +155,7 @@ class TrayBalance(ur.GraspingTask[TraySettings, TrayFacts]):
     - *lift* (0.2): passed when both hold the tray 5 cm above where it lay. Both: the fraction of that height.
     - *center* (0.2): passed when the ball is within `success_ball_m` of the middle. Both: its nearness to the middle.
     - *carry* (0.4): passed when the tray is within 10 mm and 0.05 rad of its goal, with the ball in its middle. Both:
-      the nearness of the tray to its goal while the ball is there.
+      the nearness of the tray to its goal, times that of the ball to the middle.
     - *finish* (1.0): at a step that ends an episode with success, the number of its remaining steps; otherwise 0.
 
     `info["stage"]` is the number of stages passed in their order, 0 to 4. `info` also holds, without noise, `ball_m`,
@@ -234,9 +234,8 @@ class TrayBalance(ur.GraspingTask[TraySettings, TrayFacts]):
         ball = tray + np.concatenate([unit[:, 2:4] * settings.ball_range_m, settings.ball_radius_m * column], axis=1)
         goal = unit[:, 4:7] * settings.target_range_m + np.array([0.0, 0.0, LYING_M + GOAL_M])
         yaws = np.concatenate([0.0 * column, 0.0 * column, unit[:, 7:] * settings.target_turn_rad], axis=1).T
-        poses = [
-            np.concatenate([at, ur.yaw_quat(yaw)], axis=1) for at, yaw in zip((tray, ball, goal), yaws, strict=True)
-        ]
+        places = zip((tray, ball, goal), yaws, strict=True)
+        poses = [np.concatenate([at, ur.yaw_quat(yaw)], axis=1) for at, yaw in places]
         self.at_m[rows], self.speed_m_s[rows] = (ball - tray)[:, :3], 0.0
         return self.start_at_home(rows, dict(zip(self.observed, poses, strict=True)))
 
@@ -279,8 +278,9 @@ class TrayBalance(ur.GraspingTask[TraySettings, TrayFacts]):
     @ur.stage(weight=0.4, load_kg=LOADS_KG, coupled=True)
     def carry(self, now: TrayFacts) -> tuple[ur.Number, ur.Progress]:
         """Carry the tray to its goal, with the ball in its middle."""
-        both = now.holds.all(axis=1) & (now.ball_m < self.settings.success_ball_m)
-        return both & (now.goal_m < 0.01) & (now.goal_rad < 0.05), both * ur.gaussian(now.goal_m, margin=0.3)
+        both, balanced = now.holds.all(axis=1), now.ball_m < self.settings.success_ball_m
+        near = ur.gaussian(now.goal_m + 0.1 * now.goal_rad, margin=0.3) * ur.gaussian(now.ball_m, margin=0.1)
+        return both & balanced & (now.goal_m < 0.01) & (now.goal_rad < 0.05), both * near
 
     def lost(self, now: TrayFacts) -> ur.Number:
         """Return the rows whose ball fell from the tray."""

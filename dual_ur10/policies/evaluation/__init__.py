@@ -1,4 +1,4 @@
-"""Rollouts, evaluation over seeded episodes, its statistics, the check of a policy, and export to Minari.
+"""Rollouts, evaluation over seeded episodes and its statistics, checks of policies and tasks, and export to Minari.
 
 It trains nothing, and never looks into a policy.
 """

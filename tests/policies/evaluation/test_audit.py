@@ -276,7 +276,8 @@ def test_further_cheats_are_tried_and_accepted_findings_are_notes(reach):
         ({"action_mode": "joint_position"}, SettingsError, "use 'joint_delta'"),
         ({"cell": "echo"}, SettingsError, "the audit is for cell='mujoco'"),
         ({"amplitude": 1.0}, UnknownNameError, "amplitude"),
-        ({"cheats": {"none": 3}, "quick": True}, PolicyError, "no policy"),
+        ({"cheats": {"none": 3}}, PolicyError, "no policy"),
+        ({"cheats": {"none": "absent:Policy"}}, SettingsError, "cannot be imported"),
     ],
 )
 def test_bad_arguments_are_refused_by_name(keywords, error, match):

@@ -19,8 +19,8 @@ from dual_ur10.policies.evaluation.audit.episodes import FLOORS, SCRIPT, AuditEp
 from dual_ur10.policies.evaluation.audit.probes import on_actions, on_randomization
 from dual_ur10.policies.evaluation.audit.report import SEVERITIES, AuditFinding, AuditReport
 from dual_ur10.policies.evaluation.evaluate import check_whole, evaluate
-from dual_ur10.policies.policy import Policy
-from dual_ur10.policies.registry import load
+from dual_ur10.policies.policy import Policy, as_policy
+from dual_ur10.policies.registry import load, load_named
 
 _OWN: Final = ("observation", "on_refusal", "randomization", "record", "reward", "threads", "num_envs")
 _LONGEST_S: Final = 60.0  # of an episode whose task ends none
@@ -72,6 +72,8 @@ def audit(
             raise SettingsError(f"the keyword {name} is set by the audit: leave it out")
     if env_kwargs.get("action_mode") == "joint_position":
         raise SettingsError("action_mode is 'joint_position': the audit stops arms by actions of 0, use 'joint_delta'")
+    for policy in (cheats or {}).values():  # before anything runs
+        load_named(policy if isinstance(policy, str) else as_policy(policy), env_id, env_kwargs)
     given = _Audit(env_id, dict(env_kwargs), episodes, seed, quick, on_progress)
     return given.report(cheats or {})
 

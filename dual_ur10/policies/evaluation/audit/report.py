@@ -79,10 +79,9 @@ class AuditReport:
         return tuple(each for each in self.findings if SEVERITIES.index(each.severity) > least)
 
     def __str__(self) -> str:
-        counts = ", ".join(
-            f"{sum(each.severity == name for each in self.findings)} {name}s" for name in reversed(SEVERITIES)
-        )
-        lines = [f"{self.env_id}: {counts}"]
+        counts = {name: sum(each.severity == name for each in self.findings) for name in reversed(SEVERITIES)}
+        text = ", ".join(f"{count} {name}{'' if count == 1 else 's'}" for name, count in counts.items())
+        lines = [f"{self.env_id}: {text}"]
         if self.script_return is not None:
             lines[0] += f"; the script earns {self.script_return:.1f}"
         for name, (successes, of) in self.successes.items():

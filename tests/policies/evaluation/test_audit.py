@@ -229,6 +229,15 @@ def test_an_episode_without_a_known_horizon(reach):
     assert found(audited(Endless)) == set()
 
 
+def test_no_result_depends_on_the_number_of_rows(reach, monkeypatch):
+    reports = []
+    for rows in (2, 5):
+        monkeypatch.setattr("dual_ur10.policies.evaluation.audit.audit._ROWS", rows)
+        reports.append(audit(ID, quick=True))
+    assert reports[0].returns == reports[1].returns
+    assert reports[0].successes == reports[1].successes
+
+
 def test_progress_is_shown(reach):
     shown = []
     audit(ID, quick=True, on_progress=shown.append)

@@ -187,7 +187,7 @@ class _Audit:
         if self._weights:
             found = found._replace(floors=self._run(FLOORS, seeds, most, 0.3))
         if script:
-            made = cheats_of(self._task.stages, script[0].actions, quick=self._quick)
+            made = cheats_of(self._task.stages, script[0], quick=self._quick)
             tried = range(self._seed + 1, self._seed + 1 + self._episodes)
             found = found._replace(cheats=self._run(made, tried, most, 0.95, **AS_ON_CONTROLLERS))
             for rule in (rules.on_returns, rules.on_camping, rules.on_stages, rules.on_cheats):

@@ -7,7 +7,16 @@ from typing import Final
 
 import numpy as np
 
-from dual_ur10.policies.evaluation.audit.episodes import JOINTS, Behaviour, Change, RunningEpisode, hold, release, stage
+from dual_ur10.policies.evaluation.audit.episodes import (
+    JOINTS,
+    AuditEpisode,
+    Behaviour,
+    Change,
+    RunningEpisode,
+    hold,
+    release,
+    stage,
+)
 from ur_core.kinematics.ur10 import ARMS
 from ur_core.types import Array
 
@@ -17,15 +26,15 @@ ONE_ARM: Final = "{} arm alone"
 REPLAY: Final = "actions of another seed"
 
 
-def cheats_of(stages: Sequence[str], actions: Array, *, quick: bool = False) -> dict[str, Behaviour]:
+def cheats_of(stages: Sequence[str], script: AuditEpisode, *, quick: bool = False) -> dict[str, Behaviour]:
     """Return the cheats of a task by name.
 
     Args:
         stages: Names of its stages, or none.
-        actions: (k, 2, size) the script's actions with another seed.
+        script: Episode of the script with another seed.
         quick: Fewer of them.
     """
-    grippers = actions.shape[2] > JOINTS
+    grippers = script.actions.shape[2] > JOINTS
     found: dict[str, Change] = {ONE_ARM.format(ARMS[arm]): alone(arm) for arm in (0, 1)}
     if grippers:
         found |= {"grippers open": gripping(1.0), "grippers closed": gripping(-1.0)}
@@ -36,10 +45,14 @@ def cheats_of(stages: Sequence[str], actions: Array, *, quick: bool = False) -> 
     found |= {"arms exchanged": exchanged, "both as the left arm": alike}
     found |= {f"{ARMS[arm]} arm {LATE_S:g} s late": late(arm) for arm in ((1,) if quick else (0, 1))}
     every = {name: Behaviour("cheat", change) for name, change in found.items()}
-    every |= _stops(stages, len(actions), grippers=grippers, quick=quick)
+    every |= _stops(stages, script.steps, grippers=grippers, quick=quick)
+    if grippers and not quick and len(stages) > 1 and "stage" in script.numbers:
+        begun = int(np.argmax(script.numbers["stage"] >= len(stages) - 1))
+        half_way = still(after((begun + script.steps) / 2), release)
+        every[f"releases half-way to {stages[-1]}"] = Behaviour("cheat", half_way)
     if not quick:
         every["random, for 1 s each"] = Behaviour("cheat", held, scripted=False)
-    return {**every, REPLAY: Behaviour("cheat", replay(actions), scripted=False)}
+    return {**every, REPLAY: Behaviour("cheat", replay(script.actions), scripted=False)}
 
 
 def _stops(stages: Sequence[str], steps: int, *, grippers: bool, quick: bool) -> dict[str, Behaviour]:

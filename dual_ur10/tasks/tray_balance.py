@@ -13,7 +13,7 @@ import dual_ur10.tasks as ur
 HANDLE_M, LYING_M = 0.04, 0.02  # width of the handles; height of the tray on the table
 INSIDE_M = 0.14  # from the middle of the tray to its rim along x
 GOAL_M = 0.15  # height of the middle of all goals above that
-LOADS_KG = (0.6, 0.6)  # half of the tray for each arm
+LOADS_KG, BORNE_N = (0.6, 0.6), 1.5  # half of the tray for each arm; the least that each bears, an eighth
 DOWN = (0.0, 1.0, -1.0, 0.0)  # orientation of a tool that grips a handle from above
 
 TRAY = ur.Prop(
@@ -115,6 +115,7 @@ class TrayFacts(NamedTuple):
         height_m: (n,) height of the tray above where it lay.
         goal_m, goal_rad: (n,) distance and angle of the tray from its goal.
         ball_m: (n,) distance of the ball from the middle of the tray.
+        shared: (n,) True if each gripper bears a part of the weight.
         fell: (n,) True if the ball is no longer on the tray.
     """
 
@@ -124,6 +125,7 @@ class TrayFacts(NamedTuple):
     goal_m: ur.Array
     goal_rad: ur.Array
     ball_m: ur.Array
+    shared: ur.Mask
     fell: ur.Mask
 
 
@@ -154,8 +156,8 @@ class TrayBalance(ur.GraspingTask[TraySettings, TrayFacts]):
       handle, 0.2 for closing there, and 0.3 for holding it.
     - *lift* (0.2): passed when both hold the tray 5 cm above where it lay. Both: the fraction of that height.
     - *center* (0.2): passed when the ball is within `success_ball_m` of the middle. Both: its nearness to the middle.
-    - *carry* (0.4): passed when the tray is within 10 mm and 0.05 rad of its goal, with the ball in its middle. Both:
-      the nearness of the tray to its goal, times that of the ball to the middle.
+    - *carry* (0.4): passed when the tray is within 10 mm and 0.05 rad of its goal, with the ball in its middle, and
+      each arm bears 1.5 N or more. Both: the nearness of the tray to its goal, times that of the ball to the middle.
     - *finish* (1.0): at a step that ends an episode with success, the number of its remaining steps; otherwise 0.
 
     `info["stage"]` is the number of stages passed in their order, 0 to 4. `info` also holds, without noise, `ball_m`,
@@ -251,7 +253,8 @@ class TrayBalance(ur.GraspingTask[TraySettings, TrayFacts]):
         height_m, grasping = tray.position_m[:, 2] - LYING_M, self.grasping(measured)
         before_m, self.at_m = self.at_m, ball.position_m - tray.position_m
         self.speed_m_s += SMOOTH * ((self.at_m - before_m) / self.timing.period_s - self.speed_m_s)
-        return TrayFacts(grasping, measured.holding, height_m, goal_m, goal_rad, ball_m, fell)
+        shared = np.all(self.forces_n(state)[..., 2] < -BORNE_N, axis=1)
+        return TrayFacts(grasping, measured.holding, height_m, goal_m, goal_rad, ball_m, shared, fell)
 
     def further_values(self, state: ur.CellState, measured: ur.Grasped) -> Mapping[str, ur.Array]:
         """Return the velocity of the ball in both bases."""
@@ -278,7 +281,7 @@ class TrayBalance(ur.GraspingTask[TraySettings, TrayFacts]):
     @ur.stage(weight=0.4, load_kg=LOADS_KG, coupled=True)
     def carry(self, now: TrayFacts) -> tuple[ur.Number, ur.Progress]:
         """Carry the tray to its goal, with the ball in its middle."""
-        both, balanced = now.holds.all(axis=1), now.ball_m < self.settings.success_ball_m
+        both, balanced = now.holds.all(axis=1), (now.ball_m < self.settings.success_ball_m) & now.shared
         near = ur.gaussian(now.goal_m + 0.1 * now.goal_rad, margin=0.3) * ur.gaussian(now.ball_m, margin=0.1)
         return both & balanced & (now.goal_m < 0.01) & (now.goal_rad < 0.05), both * near
 

@@ -4,6 +4,7 @@ import gymnasium as gym
 import pytest
 from gymnasium.utils.env_checker import check_env
 
+from benchmarks.cheats import LID, tried
 from dual_ur10.errors import SettingsError
 from dual_ur10.policies import evaluate
 
@@ -22,6 +23,14 @@ def test_the_script_succeeds(randomization):
     (episode,) = evaluate(ID, "scripted", episodes=1, env_kwargs=keywords).episodes
     assert episode.success
     assert max(episode.peak["force_n/left"], episode.peak["force_n/right"]) < 40
+
+
+def test_ways_round_the_stages_do_not_succeed():
+    ends = {
+        "block dropped into the case": (False, 2, "block_fell"),
+        "lid let go of over the block": (False, 3, "lid_slammed"),
+    }
+    assert tried(ID, {name: LID[name] for name in ends}) == ends
 
 
 @pytest.mark.parametrize(

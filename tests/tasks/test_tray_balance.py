@@ -4,6 +4,7 @@ import gymnasium as gym
 import pytest
 from gymnasium.utils.env_checker import check_env
 
+from benchmarks.cheats import TRAY, tried
 from dual_ur10.errors import SettingsError
 from dual_ur10.policies import evaluate
 
@@ -22,6 +23,11 @@ def test_the_script_succeeds(randomization):
     (episode,) = evaluate(ID, "scripted", episodes=1, env_kwargs=keywords).episodes
     assert episode.success
     assert max(episode.peak["force_n/left"], episode.peak["force_n/right"]) < 80
+
+
+def test_ways_round_the_stages_do_not_succeed():
+    ends = {"left fingers about the object": (False, 4, "time")}
+    assert tried(ID, {name: TRAY[name] for name in ends}) == ends
 
 
 @pytest.mark.parametrize(

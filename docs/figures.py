@@ -125,6 +125,36 @@ def stages(axis: Any, rows: Rows) -> None:
     axis.grid(alpha=0.3)
 
 
+LEARNERS = {"script": "#616161", "dagger": OURS, "bc": "#ef6c00", "ppo": BAD}
+"""Colours of the learners of the baselines."""
+
+
+def baselines(axis: Any, rows: Rows) -> None:
+    """Draw a point with its interval for each learner of each task, on mild plants."""
+    shown = set()
+    for height, each in zip(_labelled(axis, rows), rows, strict=True):
+        for number, (learner, colour) in enumerate(LEARNERS.items()):
+            if learner not in each:
+                continue
+            k, n = each[learner]["mild"]
+            low, high = interval(k, n)
+            y = height + 0.27 - 0.18 * number
+            label = {} if learner in shown else {"label": learner}
+            axis.errorbar(
+                100 * k / n,
+                y,
+                xerr=[[max(0.0, 100 * k / n - low)], [max(0.0, high - 100 * k / n)]],
+                fmt="o",
+                ms=4,
+                color=colour,
+                **label,
+            )
+            shown.add(learner)
+    axis.set_xlim(-3, 103)
+    axis.set_xlabel("success, %, on mild plants")
+    axis.legend(frameon=False, fontsize=9.5, ncols=4, loc="lower left", bbox_to_anchor=(0.0, 1.0))
+
+
 class Diagram(NamedTuple):
     """Boxes and arrows.
 
@@ -235,8 +265,25 @@ PLOTS: dict[str, tuple[str, Callable[[Any, Rows], None]]] = {
     "returns": ("decisions/stock-learners", returns),
     "noise": ("decisions/stock-learners", noise),
     "stages": ("decisions/stock-learners", stages),
+    "baselines": ("reference/baselines", baselines),
 }
 """Page and function of each plot by its name in the JSON of the page."""
+
+
+HEIGHTS = {"baselines": 4.6}
+"""Heights of plots in inches that are not the usual one."""
+
+
+def plot_of(name: str) -> dict[str, Any]:
+    """Return the title and the rows of a plot."""
+    found = json.loads((DOCS / f"{PLOTS[name][0]}.json").read_text())
+    if name == "baselines":  # that JSON is the benchmark's own, by tasks
+        return {
+            "title": "Baselines",
+            "rows": [{"label": task.partition("-v")[0], **row} for task, row in found.items()],
+        }
+    plot: dict[str, Any] = found[name]
+    return plot
 
 
 def digest(plot: dict[str, Any]) -> str:
@@ -247,9 +294,9 @@ def digest(plot: dict[str, Any]) -> str:
 def main() -> None:
     """Draw all plots into docs/images."""
     plt.rcParams.update(STYLE)
-    for name, (page, draw) in PLOTS.items():
-        plot = json.loads((DOCS / f"{page}.json").read_text())[name]
-        figure, axis = plt.subplots(figsize=(5.2, 3.0), layout="constrained")
+    for name, (_, draw) in PLOTS.items():
+        plot = plot_of(name)
+        figure, axis = plt.subplots(figsize=(5.2, HEIGHTS.get(name, 3.0)), layout="constrained")
         draw(axis, [each for each in plot["rows"] if each.get("drawn", True)])
         figure.suptitle(plot["title"], fontsize=11.5, x=0.01, ha="left", fontweight="bold")
         about = {"Date": None, "Source": digest(plot)}

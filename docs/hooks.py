@@ -84,6 +84,51 @@ def robots() -> str:
     return f"{_table(shapes)}\n\n{_table(loads)}"
 
 
+LEARNERS = {
+    "script": "`scripted`",
+    "dagger": "`learned`, by DAgger",
+    "bc": "cloning of {demonstrations} episodes",
+    "ppo": "stock PPO",
+}
+"""Policies of the baselines, by the names of `benchmarks/baselines.py`."""
+
+
+def baselines() -> str:
+    """Return the table of the baselines of all tasks."""
+    rows = [("task", *_BASELINES)]
+    for task, found in _measured().items():
+        for number, row in enumerate(_baseline_rows(found)):
+            rows.append(
+                (f"[{task.partition('-v')[0]}](../tasks/{slug('DualUR10/' + task)}.md)" if number == 0 else "", *row)
+            )
+    return _table(rows)
+
+
+_BASELINES = ("policy", "nominal", "mild", "wide", "learned from")
+
+
+def _measured() -> dict[str, Any]:
+    path = Path(__file__).parent / "reference" / "baselines.json"
+    found: dict[str, Any] = json.loads(path.read_text())
+    return found
+
+
+def _baseline_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Return a row for each learner of a task."""
+    from dual_ur10.policies.evaluation.results import wilson_interval
+
+    def text(k: int, n: int) -> str:
+        low, high = wilson_interval(k, n)
+        percent = f"{100 * low:.1f} to {100 * high:.1f} %".replace("100.0", "100")
+        return f"{k} of {n} ({percent})" if n else "–"
+
+    rows = []
+    for name, row in found.items():
+        counts = (text(*row[preset]) for preset in ("nominal", "mild", "wide"))
+        rows.append((LEARNERS[name].format(**row), *counts, f"{row['steps']:,} steps" if "steps" in row else "–"))
+    return rows
+
+
 def _table(rows: list[tuple[str, ...]]) -> str:
     """Return a table in Markdown; the first row is its head."""
     lines = [f"| {' | '.join(row)} |" for row in rows]
@@ -165,7 +210,7 @@ def task_page(env_id: str, folder: Path) -> str:
         media=[each for each in json.loads(record.read_text()) if each["env_id"] == env_id] if record.exists() else [],
         policies=policies,
         best="learned" if "learned" in policies else [*policies, "random"][0],
-        baselines=table[1] if table else "",
+        baselines=table[1] if table else _baselines_of(env_id),
         curves=curves_of(env_id),
         scratch=scratch if (folder / scratch).exists() else "",
         layout=layout,
@@ -176,9 +221,15 @@ def task_page(env_id: str, folder: Path) -> str:
             for each in dataclasses.fields(task.settings_type)
             if each.name.startswith("success_") and isinstance(each.default, float)
         },
-        path=path.replace(":", "."),
+        definition=re.sub(r"^(#+ )", r"#\1", inspect.getdoc(task) or "", flags=re.MULTILINE),
         goals=goals if importlib.util.find_spec(goals) else "",
     )
+
+
+def _baselines_of(env_id: str) -> str:
+    """Return the baselines of one task as a table; "": it was not measured."""
+    found = _measured().get(env_id.partition("/")[2]) if env_id.startswith("DualUR10/") else None
+    return f"{_table([_BASELINES, *_baseline_rows(found)])}\n" if found else ""
 
 
 def summary_of(task: Any) -> str:
@@ -209,6 +260,7 @@ TABLES = {
     "reference/environments.md": ("<!-- table of tasks -->", task_table),
     "reference/robots.md": ("<!-- table of robots -->", robots),
     "reference/urscript.md": ("<!-- table of URScript -->", urscript),
+    "reference/baselines.md": ("<!-- table of baselines -->", baselines),
 }
 """Marks that generated tables replace, by page."""
 

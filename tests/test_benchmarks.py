@@ -2,10 +2,14 @@
 
 import functools
 import importlib
+import json
 import pathlib
 import sys
 
 import pytest
+
+from dual_ur10.policies import evaluate
+from dual_ur10.policies.training.settings import defaults
 
 FOLDER = pathlib.Path(__file__).parent.parent / "benchmarks"
 
@@ -72,3 +76,32 @@ def test_stock_learners_are_measured(monkeypatch):
     assert found["stock_td3"]["steps"] == 128
     assert found["snippet"]["return_ratio"] < found["zero_ratio"]  # of an episode of 10 steps
     assert found["snippet"]["error_mm"] > 0.0
+
+
+def test_baselines_are_measured_and_continued(monkeypatch, tmp_path):
+    pytest.importorskip("torch")
+    monkeypatch.syspath_prepend(FOLDER)
+    baselines = importlib.import_module("baselines")
+    seeds = []
+
+    def short(env_id, policy, *, env_kwargs, seed, **keywords):
+        seeds.append(seed)
+        return evaluate(env_id, policy, seed=seed, env_kwargs={**env_kwargs, "duration_s": 0.4}, **keywords)
+
+    def asked(*given, changes, **keywords):
+        changes = {**changes, "fit_steps": 20, "hidden": (8,)}
+        return defaults(*given, changes=changes, keywords={"duration_s": 0.4}, **keywords)
+
+    monkeypatch.setattr(baselines, "evaluate", short)
+    monkeypatch.setattr(baselines, "defaults", asked)
+    monkeypatch.setattr(baselines, "DEMONSTRATIONS", 2)
+    path = tmp_path / "baselines.json"
+    for episodes in (2, 3):
+        command = ["", "--task", "SineTracking", "--learner", "script", "--learner", "bc"]
+        command += ["--episodes", str(episodes), "--json", str(path), "--out", str(tmp_path)]
+        monkeypatch.setattr("sys.argv", command)
+        baselines.main()
+    found = json.loads(path.read_text())["SineTracking-v0"]
+    assert [found[name][preset][1] for name in ("script", "bc") for preset in baselines.RANDOMIZATIONS] == [3] * 6
+    assert found["bc"]["demonstrations"] == 2
+    assert seeds == [0] * 6 + [2] * 6

@@ -34,7 +34,7 @@ _COMMANDS: Final[dict[str, dict[str, str]]] = {
         "rollout Handover --episodes 3 --randomization mild": "rollout:rollout",
         "evaluate SineTracking --policy learned --randomization mild --json sine.json": "evaluate:evaluate",
         "check-configuration BoxLift --cell cell.toml": "check_configuration:check_configuration",
-        "new-task PegInsertion": "new_task:new_task",
+        "new-task OpenDrawer": "new_task:new_task",
         "audit Handover": "audit:audit",
     },
     "Learn": {

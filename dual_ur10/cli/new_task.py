@@ -29,7 +29,7 @@ _FILES: Final = {
 
 
 def new_task(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the task, such as PegInsertion.")],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the task, such as OpenDrawer.")],
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder to create. Default: from the name.")] = None,
     namespace: Annotated[str, typer.Option("--namespace", help="Namespace of its id.")] = "MyLab",
 ) -> None:

@@ -24,8 +24,8 @@ WIDER = """() => [
 ]"""
 """Texts of the tables and code that are wider than the page, and pictures that have no text or are missing."""
 
-NARROW = {f"tasks/{name}" for name in ("sine-tracking", "sync-carry", "handover", "free")}
-"""Pages with tables of seven columns, which scroll on a telephone."""
+NARROW = "tasks/"
+"""Folder of pages with tables of seven columns, which scroll on a telephone."""
 
 
 @pytest.fixture(scope="module")
@@ -60,6 +60,6 @@ def test_nothing_is_wider_than_its_page(site, width):
             page.goto(path.as_uri())
             page.evaluate("document.querySelectorAll('details').forEach(each => { each.open = true })")
             wider = page.evaluate(WIDER)
-            if wider and not (width == 400 and name in NARROW and "the page" not in wider):
+            if wider and not (width == 400 and name.startswith(NARROW) and "the page" not in wider):
                 found[name] = wider
     assert found == {}

@@ -184,6 +184,10 @@ class PolicyError(DualUR10Error, ValueError):
     """Raised when an object is no policy, or `dual_ur10.testing.check_policy` finds a violation of the contract."""
 
 
+class ChunkError(PolicyError):
+    """Raised when a chunk policy returns something else than a chunk of actions, or nothing. Arms have come to rest."""
+
+
 class DeviceError(DualUR10Error, RuntimeError):
     """Base class of the errors of an input device with which a person leads the arms."""
 

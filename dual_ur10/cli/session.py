@@ -16,6 +16,7 @@ from dual_ur10 import policies
 from dual_ur10.cli.options import VIRTUAL, at_end, console, errors, is_file
 from dual_ur10.errors import SettingsError, UnknownNameError, nearest_name
 from dual_ur10.ids import env_id_of
+from dual_ur10.policies.policy import close_policy
 from dual_ur10.policies.registry import check_name, keywords_for, wrong_types_named
 from dual_ur10.sim2real.cell.cell_kinds import CELL_KINDS
 from ur_core.processes.machine_load import too_busy
@@ -243,9 +244,8 @@ def shown(made: Any, person: Operator) -> Any:
 
 
 def close(made: Any, actor: Any) -> None:
-    """Close an environment, and the device of an operator."""
+    """Close an environment, and what the policy or operator holds: a device, a thread, a connection."""
     try:
         made.close()
     finally:
-        if hasattr(actor, "device"):
-            actor.close()
+        close_policy(actor)

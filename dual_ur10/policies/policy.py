@@ -88,6 +88,13 @@ def policy_name(policy: object) -> str:
     return str(getattr(policy, "__name__", type(policy).__name__))
 
 
+def close_policy(policy: object) -> None:
+    """Close a policy that can be closed: one that holds a device, a thread or a connection."""
+    close = getattr(policy, "close", None)
+    if callable(close):
+        close()
+
+
 @runtime_checkable
 class EpisodeAware(Protocol):
     """A policy that is notified when single rows of a batch begin episodes, so that no row waits for the others."""
@@ -98,6 +105,19 @@ class EpisodeAware(Protocol):
         Args:
             rows: (k,) indices of the rows.
             seeds: (k,) seeds of their episodes.
+        """
+
+
+@runtime_checkable
+class TimeAware(Protocol):
+    """A policy that is given the time of each observation before the observation itself."""
+
+    def observed_at(self, time_s: Array, *, real_time: bool) -> None:
+        """Take the time of the next observation.
+
+        Args:
+            time_s: (n,) time of each row since its episode began, in task time: a whole number of ticks.
+            real_time: The time of day is kept, so that an action is late if the policy waits for anything.
         """
 
 

@@ -238,15 +238,41 @@ def _made(path: str, env_id: str | None, keywords: Mapping[str, Any], *, registe
             f"policy {path!r} cannot be made: {error}. Name a class whose arguments are optional, or, for an "
             f"environment, among {', '.join(_ARGUMENTS)}"
         ) from error
+    if env_id is not None:
+        policy = executed(policy, lambda: setup_of(env_id, keywords))
     if not isinstance(policy, Policy):
         raise PolicyError(f"{path!r} is no policy: it must have `reset()` and `__call__(observation)`")
     return policy
 
 
-def _arguments(env_id: str, keywords: Mapping[str, Any], names: Collection[str]) -> dict[str, Any]:
+def executed(policy: object, setup: Callable[[], EnvSetup]) -> Any:
+    """Return the executor of a chunk policy, and anything else unchanged.
+
+    Args:
+        policy: As for `make`.
+        setup: Function that returns the environment.
+
+    Raises:
+        SettingsError: A chunk policy cannot be executed in the environment.
+    """
+    from dual_ur10.policies.chunks.chunk_policy import ChunkPolicy
+
+    if isinstance(policy, Policy | type) or not isinstance(policy, ChunkPolicy):
+        return policy
+    from dual_ur10.policies.chunks.executor import executor_for
+
+    return executor_for(policy, setup())
+
+
+def setup_of(env_id: str, keywords: Mapping[str, Any]) -> EnvSetup:
+    """Return an environment with these keywords, and ignore those that concern neither task nor cell."""
     from dual_ur10.envs.core.setup import EnvSetup
 
-    return arguments_of(EnvSetup.resolve(env_id, keywords, ignore_unknown=True), names)
+    return EnvSetup.resolve(env_id, keywords, ignore_unknown=True)
+
+
+def _arguments(env_id: str, keywords: Mapping[str, Any], names: Collection[str]) -> dict[str, Any]:
+    return arguments_of(setup_of(env_id, keywords), names)
 
 
 def arguments_of(setup: EnvSetup, names: Collection[str]) -> dict[str, Any]:
@@ -340,7 +366,8 @@ def make(
     arms for which a learned policy was made. A policy without such demands gets the environment of `gym.make`.
 
     Args:
-        policy: As for `load`; "random" or "zero"; or a policy, or a plain function from observations to actions.
+        policy: As for `load`; "random" or "zero"; or a policy, a chunk policy, or a plain function from observations
+            to actions.
         env_id: Id of the environment, or its short form.
         seed: Seed of random actions.
         **keywords: As for `gym.make`. They come before those of the policy, which then may not fit.
@@ -355,7 +382,9 @@ def make(
     env_id = env_id_beside(policy, env_id)
     if isinstance(policy, str):
         check_name(policy)
-    given = policy if isinstance(policy, str | os.PathLike) else as_policy(policy)
+    given: Any = policy
+    if not isinstance(policy, str | os.PathLike):
+        given = as_policy(executed(policy, lambda: setup_of(env_id, keywords)))
     keywords = keywords_for(given, env_id, keywords)
     # Before anything is connected or a folder of the run is made.
     actor = load_named(given, env_id, keywords) if isinstance(given, str | os.PathLike) else given

@@ -264,6 +264,17 @@ class Core:
         return self.setup.config
 
     @property
+    def time_s(self) -> Array:
+        """Time of the last observation since the reset of each row, (n,), in task time.
+
+        Raises:
+            ResetNeededError: There was no reset yet.
+        """
+        if self._state is None:
+            raise ResetNeededError("there is no observation before the first reset: call reset() first")
+        return self._state.time_s.copy()
+
+    @property
     def timing(self) -> Timing:
         """Rate and latency of actions."""
         return self.setup.timing

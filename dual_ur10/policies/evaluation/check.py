@@ -17,6 +17,7 @@ import numpy as np
 
 from dual_ur10.envs.core.options import AS_ON_CONTROLLERS
 from dual_ur10.errors import PolicyError, SettingsError
+from dual_ur10.policies.evaluation.rollout import offer_time
 from dual_ur10.policies.policy import Policy, as_policy
 from dual_ur10.policies.registry import env_id_beside
 from dual_ur10.sim2real.cell.cell_config import LATENCY_S, HostedCell
@@ -250,6 +251,7 @@ class _CheckedEpisode:
     def _act(self, observation: Any) -> Array:
         step = len(self.actions)
         shown, kept = _copied(observation), _copied(observation)
+        offer_time(self._policy, self._env)
         begin = time.perf_counter()
         given = _call(self._policy, shown, f"step {step}")
         self.taken_s.append(time.perf_counter() - begin)

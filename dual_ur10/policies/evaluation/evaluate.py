@@ -23,13 +23,15 @@ from dual_ur10.policies.evaluation.results import EpisodeResult, Evaluation
 from dual_ur10.policies.evaluation.rollout import act
 from dual_ur10.policies.learned.checkpoint import warn_outside
 from dual_ur10.policies.learned.learned_policy import LearnedPolicy
-from dual_ur10.policies.policy import EpisodeAware, FunctionPolicy, Policy, as_policy, policy_name
+from dual_ur10.policies.policy import EpisodeAware, FunctionPolicy, Policy, as_policy, close_policy, policy_name
 from dual_ur10.policies.registry import (
     check_name,
     env_id_beside,
+    executed,
     keywords_for,
     load_named,
     provenance,
+    setup_of,
     wrong_types_named,
 )
 from ur_core.kinematics.ur10 import ARMS
@@ -66,9 +68,9 @@ def evaluate(
 
     Args:
         env_id: Id of the environment, or its short form.
-        policy: A policy that takes batches; or a plain function from an observation to an action, which is called with
-            each row; or a name, one of `dual_ur10.policies.NAMES`, "random" or "zero"; or the folder of a checkpoint,
-            made for this environment; or "module:Class", as for `load`.
+        policy: A policy that takes batches; or a chunk policy, or a plain function from an observation to an action,
+            which are called with each row; or a name, one of `dual_ur10.policies.NAMES`, "random" or "zero"; or the
+            folder of a checkpoint, made for this environment; or "module:Class", as for `load`.
         episodes: Number of episodes, 1 or more.
         seed: Seed of the first episode, 0 or more.
         num_envs: Number of parallel episodes.
@@ -100,7 +102,7 @@ def evaluate(
     if isinstance(policy, str):
         check_name(policy)
     else:
-        policy = as_policy(policy)
+        policy = as_policy(executed(policy, lambda: setup_of(env_id, dict(env_kwargs or {}))))
     given = dict(env_kwargs or {})
     if given.get("record") is not None:
         given = {"record_about": provenance(policy, env_id), **given}
@@ -140,6 +142,8 @@ def evaluate(
         )
     finally:
         env.close()
+        if isinstance(policy, str):
+            close_policy(actor)
 
 
 def _run(

@@ -23,6 +23,7 @@ from dual_ur10.envs.rendering.video_file import VideoFile
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.policies.evaluation.rollout import Info, act
 from dual_ur10.policies.policy import Policy, as_policy
+from dual_ur10.policies.registry import executed
 from ur_core.kinematics.ur10 import ARMS
 from ur_core.types import Array
 
@@ -135,7 +136,7 @@ def take(
         PolicyError: The policy is neither.
         DualUR10Error: The environment failed.
     """
-    policy, kept = as_policy(policy), Take(env.unwrapped.core)
+    policy, kept = as_policy(executed(policy, lambda: env.unwrapped.core.setup)), Take(env.unwrapped.core)
     observation, info = env.reset(seed=seed, options={MOVE_TO_START: True})
     policy.reset()
     kept.begin(info)

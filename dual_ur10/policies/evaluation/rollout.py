@@ -11,7 +11,8 @@ import numpy as np
 from dual_ur10.envs.core.ends import early_end
 from dual_ur10.envs.core.options import MOVE_TO_START
 from dual_ur10.errors import SettingsError
-from dual_ur10.policies.policy import Commanded, Policy, as_policy
+from dual_ur10.policies.policy import Commanded, Policy, TimeAware, as_policy
+from dual_ur10.policies.registry import executed
 from ur_core.kinematics.frames import ArmMount
 from ur_core.types import Array
 
@@ -83,8 +84,22 @@ class Trace:
         return np.array([row[name] for row in self._rows], dtype=np.float64)
 
 
+def offer_time(policy: Policy, env: Any) -> None:
+    """Give a policy the time of the last observation, if it takes it.
+
+    Args:
+        policy: The policy.
+        env: Environment in which it acts.
+    """
+    if isinstance(policy, TimeAware):
+        core = env.unwrapped.core
+        policy.observed_at(core.time_s, real_time=core.setup.keeps_time)
+
+
 def act(policy: Policy, observation: Any, env: Any, dtype: Any) -> Array:
-    """Return the action of a policy, and tell the environment who commands. If it fails, moving arms stop.
+    """Return the action of a policy, which is offered the time of the observation. If it fails, moving arms stop.
+
+    The environment is given who commands.
 
     Args:
         policy: The policy.
@@ -97,6 +112,7 @@ def act(policy: Policy, observation: Any, env: Any, dtype: Any) -> Array:
             the traceback, names the cause and what to do.
     """
     try:
+        offer_time(policy, env)
         action = np.asarray(policy(observation), dtype=dtype)
         if isinstance(policy, Commanded):
             env.unwrapped.core.commander = policy.commander
@@ -120,7 +136,7 @@ def rollout(
 
     Args:
         env: Environment made by `gym.make`.
-        policy: Policy, which is reset first; or a plain function of the observation.
+        policy: Policy, which is reset first; a chunk policy; or a plain function of the observation.
         seed: Seed of the environment's reset.
         on_step: Callback with `info` after every step.
 
@@ -130,6 +146,8 @@ def rollout(
         DualUR10Error: The environment failed.
         Exception: As raised by the policy, see `act`.
     """
+    if hasattr(env, "unwrapped"):
+        policy = executed(policy, lambda: env.unwrapped.core.setup)
     policy = as_policy(policy)
     if not hasattr(env, "unwrapped"):
         raise SettingsError(

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from dual_ur10.policies.operators.operator import Operator
-from dual_ur10.policies.policy import Policy, as_policy
+from dual_ur10.policies.policy import Policy, TimeAware, as_policy, close_policy
 from ur_core.kinematics.ur10 import ARMS
 from ur_core.types import Array, Mask
 
@@ -82,8 +82,14 @@ class Takeover:
         self._explained: set[int] = set()
 
     def close(self) -> None:
-        """Close the device. May be called twice."""
+        """Close the device, and the policy if it can be closed. May be called twice."""
         self.operator.close()
+        close_policy(self.policy)
+
+    def observed_at(self, time_s: Array, *, real_time: bool) -> None:
+        """Give the policy the time of the next observation; see `dual_ur10.policies.policy.TimeAware`."""
+        if isinstance(self.policy, TimeAware):
+            self.policy.observed_at(time_s, real_time=real_time)
 
     def __call__(self, observation: Any) -> Array:
         """Return the float32 action for the observation of one cell, or for a batch of one.

@@ -1,0 +1,80 @@
+"""Interface of policies that return chunks of future actions."""
+
+from __future__ import annotations
+
+import math
+import numbers
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from dual_ur10.errors import ChunkError
+from ur_core.types import Array
+
+MOST_ACTIONS = 1000
+"""Largest number of actions in a chunk."""
+
+CHUNK_MODES = ("joint_delta", "joint_position")
+"""Meanings of the actions of a chunk."""
+
+
+@runtime_checkable
+class ChunkPolicy(Protocol):
+    """Policy that returns a chunk of future actions for one observation, perhaps late.
+
+    Attributes:
+        dt_s: Time between two actions of a chunk, whatever the rate of the environment.
+        action_mode: "joint_delta": an action has six steps of each arm's joints, as fractions of the speed limit times
+            `dt_s`, -1 to 1, which add up from the commanded joint positions of the observation. "joint_position": six
+            absolute joint positions of each arm, rad.
+    """
+
+    dt_s: float
+    action_mode: str
+
+    def reset(self) -> None:
+        """Discard all state, because an episode begins."""
+
+    def chunk(self, observation: Any, time_s: float) -> Array:
+        """Return a chunk of actions, (H, D).
+
+        Row i is what both arms are to have reached at `time_s + (i + 1) dt_s`, before the latency of actions. D is 12,
+        or 14 with grippers: the left arm's six joints and the opening of its gripper, -1 closed to 1 open, then the
+        right arm's.
+
+        Args:
+            observation: Observation of one cell.
+            time_s: Time of the observation since the episode began.
+        """
+
+
+def checked_chunk(policy: ChunkPolicy, chunk: object, size: int) -> Array:
+    """Return a chunk as (H, 2, size) numbers.
+
+    Raises:
+        ChunkError: It is none.
+    """
+    name, dt_s = type(policy).__name__, policy.dt_s
+    if policy.action_mode not in CHUNK_MODES:
+        raise ChunkError(
+            f"action_mode of {name} is {policy.action_mode!r:.80}: chunks are of {' or '.join(map(repr, CHUNK_MODES))}"
+        )
+    if isinstance(dt_s, bool) or not isinstance(dt_s, numbers.Real) or not 1e-3 <= dt_s <= 10.0:
+        raise ChunkError(f"dt_s of {name} is {dt_s!r:.80}: it must be a time of 0.001 to 10 s between two actions")
+    try:
+        found = np.asarray(chunk)
+    except (TypeError, ValueError) as error:
+        raise ChunkError(f"{name} returned {type(chunk).__name__}, which is no array: {error}") from None
+    allowed = f"a chunk is 1 to {MOST_ACTIONS} actions of {2 * size} numbers, (H, {2 * size})"
+    if found.dtype.kind not in "fiu" or found.ndim != 2 or found.shape[1] != 2 * size:
+        raise ChunkError(f"{name} returned {found.dtype} of shape {found.shape}: {allowed}")
+    if not 1 <= len(found) <= MOST_ACTIONS:
+        raise ChunkError(f"{name} returned {len(found)} actions: {allowed}")
+    rows = found.astype(np.float64).reshape(-1, 2, size)
+    if not math.isfinite(np.vdot(rows, rows)):
+        step, arm, number = np.argwhere(~(np.abs(rows) < 1e150))[0].tolist()
+        raise ChunkError(
+            f"number {number} of arm {arm} in action {step} of a chunk of {name} is {rows[step, arm, number]}: all "
+            "must be finite"
+        )
+    return rows

@@ -132,7 +132,9 @@ class SplicedPath:
         x = np.clip((time_s - self._begin_s) / self.fade_s, 0.0, 1.0)
         if (x >= 1.0).all():
             return self.path(time_s)
-        found: Array = self.path(time_s) + _faded(x, np.full(len(x), self.fade_s)) @ self._ends
+        faded = _faded(x, np.full(len(x), self.fade_s)) @ self._ends
+        faded[3, x >= 1.0] = 0.0  # the jerk of a quintic ends in a step
+        found: Array = self.path(time_s) + faded
         return found
 
 

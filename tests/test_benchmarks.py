@@ -48,6 +48,18 @@ def test_exploration_and_tools_that_are_too_low_are_led(monkeypatch):
     assert exploration.too_low(20.0, "lead", 2) == {"refused": 0, "led": 2, "episodes": 2}
 
 
+def test_targets_of_splices_are_compared_with_the_limits(monkeypatch):
+    monkeypatch.syspath_prepend(FOLDER)
+    chunks = importlib.import_module("chunks")
+    monkeypatch.setattr(chunks, "ROWS", 2)
+    monkeypatch.setattr(chunks, "EPISODE_S", 6.0)
+    found = chunks.splice(10, 0)
+    assert found["splices"] >= 10
+    assert (found["above_caps"], found["refused"]) == (0, 0)
+    monkeypatch.setattr(chunks, "ROUNDING", 0.1)
+    assert chunks.splice(1, 0)["above_caps"] > 0
+
+
 def test_demonstrations_are_imitated_and_evaluated(monkeypatch):
     pytest.importorskip("torch")
     monkeypatch.syspath_prepend(FOLDER)

@@ -48,16 +48,22 @@ class ChunkPolicy(Protocol):
         """
 
 
-def checked_chunk(policy: ChunkPolicy, chunk: object, size: int) -> Array:
+def checked_chunk(chunk: object, dt_s: object, action_mode: object, size: int, name: str) -> Array:
     """Return a chunk as (H, 2, size) numbers.
+
+    Args:
+        chunk: Returned by a chunk policy.
+        dt_s: Its time between two actions.
+        action_mode: Its meaning of actions.
+        size: Numbers of an arm.
+        name: Name of the chunk policy, for messages.
 
     Raises:
         ChunkError: It is none.
     """
-    name, dt_s = type(policy).__name__, policy.dt_s
-    if policy.action_mode not in CHUNK_MODES:
+    if action_mode not in CHUNK_MODES:
         raise ChunkError(
-            f"action_mode of {name} is {policy.action_mode!r:.80}: chunks are of {' or '.join(map(repr, CHUNK_MODES))}"
+            f"action_mode of {name} is {action_mode!r:.80}: chunks are of {' or '.join(map(repr, CHUNK_MODES))}"
         )
     if isinstance(dt_s, bool) or not isinstance(dt_s, numbers.Real) or not 1e-3 <= dt_s <= 10.0:
         raise ChunkError(f"dt_s of {name} is {dt_s!r:.80}: it must be a time of 0.001 to 10 s between two actions")

@@ -48,6 +48,8 @@ class _Answer:
         commanded: (12,) joint positions commanded at that time.
         ready_s: Time from which on the answer counts.
         chunk: What the chunk policy returned.
+        dt_s: Its `dt_s` then.
+        mode: Its `action_mode` then.
         error: What it raised.
         done: The chunk policy has returned.
     """
@@ -56,6 +58,8 @@ class _Answer:
     commanded: Array
     ready_s: float = 0.0
     chunk: object = None
+    dt_s: float = 0.0
+    mode: str = ""
     error: Exception | None = None
     done: bool = False
 
@@ -94,6 +98,7 @@ class _Worker:
 def _fill(answer: _Answer, source: ChunkPolicy, observation: Any) -> None:
     try:
         answer.chunk = source.chunk(observation, answer.time_s)
+        answer.dt_s, answer.mode = source.dt_s, source.action_mode
     except Exception as error:
         answer.error = error
     answer.done = True
@@ -369,7 +374,8 @@ class ChunkExecutor:
         try:
             if answer.error is not None:
                 raise answer.error
-            actions = checked_chunk(self.source, answer.chunk, 7 if self._grippers else 6)
+            size = 7 if self._grippers else 6
+            actions = checked_chunk(answer.chunk, answer.dt_s, answer.mode, size, self.__name__)
         except Exception as error:
             row.error = error
             return
@@ -379,14 +385,14 @@ class ChunkExecutor:
             return
         self._splicer.end(path)
         row.path = self._splicer.splice(path, time_s, self._state(row, time_s, commanded))
-        row.stamp_s, row.dt_s, row.late = answer.time_s, self.source.dt_s, 0
+        row.stamp_s, row.dt_s, row.late = answer.time_s, answer.dt_s, 0
         row.opening = actions[..., 6] if self._grippers else None
         self.splices += 1
 
     def _path(self, answer: _Answer, actions: Array) -> ChunkPath:
         """Return the path through the joint positions of a chunk."""
-        dt_s = self.source.dt_s
-        if self.source.action_mode == "joint_position":
+        dt_s = answer.dt_s
+        if answer.mode == "joint_position":
             return ChunkPath(answer.time_s + dt_s, dt_s, actions)
         steps = np.clip(actions, -1.0, 1.0) * (self._splicer.speed_rad_s * dt_s)
         return ChunkPath(answer.time_s, dt_s, answer.commanded + np.cumsum(np.vstack([np.zeros(12), steps]), axis=0))

@@ -518,7 +518,7 @@ def test_every_command_has_an_example_that_parses(workplace, monkeypatch):
     monkeypatch.chdir(workplace)
     for name, command in commands():
         example = command.epilog or ""
-        assert re.match(rf"Example: dual-ur10 (cell )?{name}\b", example), name
+        assert re.match(rf"Example: dual-ur10 ((cell|export|import) )?{name}\b", example), name
         parse(shlex.split(example)[2:])
     emulator = typer.main.get_command(ur_emulator.cli.app)
     emulator.make_context("ur-emulator", shlex.split(emulator.epilog)[2:])

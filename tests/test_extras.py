@@ -60,6 +60,8 @@ USES = (
     ("dm", "dm_env", imported("dual_ur10.envs.api.dm_env")),
     ("dynamics", "pinocchio", called("ur_core.kinematics.dynamics:_model", "ur10", 0.123, (0.0, 0.0, 0.0), True)),
     ("emulator", "ur_emulator", without_emulator),
+    ("lerobot", "av", called("dual_ur10.lerobot.image_video:check_video", Path("none.mp4"), 1)),
+    ("lerobot", "pyarrow.parquet", imported("dual_ur10.lerobot.dataset_reader")),
     ("live", "viser", called("dual_ur10.envs.rendering.live.guard:make_server", None, "", "", None)),
     ("plot", "jinja2", template),
     ("plot", "matplotlib.figure", called("dual_ur10.policies.training.progress:draw_curve", Path(), "", ())),

@@ -41,6 +41,7 @@ def test_a_wheel_holds_its_packages_and_nothing_else(built):
             "cli",
             "emulated",
             "envs",
+            "lerobot",
             "policies",
             "sim2real",
             "tasks",

@@ -57,6 +57,8 @@ _COMMANDS: Final[dict[str, dict[str, str]]] = {
         "replay runs/RUN": "records:replay",
         "compare runs/RUN_A runs/RUN_B": "records:compare",
         "fit runs/RUN --write cell.toml": "records:fit",
+        "export lerobot runs/RUN --out carry": "exchange:exporter",
+        "import lerobot carry": "exchange:importer",
     },
 }
 """Examples of the commands, and "module:function" of each, by the panel of the help that lists them."""

@@ -209,6 +209,7 @@ PACKAGES: Final[Mapping[str, Mapping[str, str]]] = {
     "data": {"Minari": "minari"},
     "dm": {"dm-env": "dm_env", "dm-control": "dm_control"},
     "emulator": {"ur-emulator": "ur_emulator"},
+    "lerobot": {"pyarrow": "pyarrow", "PyAV": "av", "mcap": "mcap", "mcap-ros2-support": "mcap_ros2"},
     "live": {"viser": "viser"},
     "plot": {"matplotlib": "matplotlib", "imageio-ffmpeg": "imageio_ffmpeg", "jinja2": "jinja2"},
     "real": {"ur_rtde": "rtde_control", "PyYAML": "yaml", "scipy": "scipy"},

@@ -144,19 +144,24 @@ class _BitGenerator(BaseModel):
     uinteger: int
 
 
-def generator_of(run: Run, number: int) -> np.random.Generator | None:
-    """Return the generator of an episode's reset as it was before the reset; None: it was not recorded.
-
-    Raises:
-        RecordingError: The record holds no legal state of a generator.
-    """
+def generator_text(run: Run, number: int) -> str | None:
+    """Return the state of the generator before an episode's reset, in JSON; None: it was not recorded."""
     texts = [each.text for each in run.events if each.kind == "generator"]
     number -= bool(run.episodes and run.episodes[0].first_step)  # a black box lacks the event of its first episode
-    if not 0 <= number < len(texts):
+    return texts[number] if 0 <= number < len(texts) else None
+
+
+def generator_of(text: str | None, number: int) -> np.random.Generator | None:
+    """Return the generator of an episode's reset as `generator_text` states it; None: it does not.
+
+    Raises:
+        RecordingError: It is no legal state of a generator.
+    """
+    if text is None:
         return None
     try:
         generator = np.random.default_rng(0)
-        generator.bit_generator.state = _BitGenerator.model_validate_json(texts[number]).model_dump()
+        generator.bit_generator.state = _BitGenerator.model_validate_json(text).model_dump()
     except (ValueError, KeyError, TypeError, OverflowError) as error:
         reason = findings(error) if isinstance(error, ValidationError) else repr(error)
         raise RecordingError(

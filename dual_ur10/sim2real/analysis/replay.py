@@ -20,6 +20,7 @@ from dual_ur10.sim2real.analysis.reconstruction import (
     check_replayable,
     check_same_actions,
     generator_of,
+    generator_text,
     keywords_of,
     resets_of,
 )
@@ -165,6 +166,7 @@ def replay(
     episode: int = 0,
     keywords: Mapping[str, Any] | None = None,
     on_step: Callable[[int, int], None] | None = None,
+    on_observation: Callable[[Any], None] = lambda observation: None,
 ) -> Replay:
     """Replay an episode.
 
@@ -174,6 +176,7 @@ def replay(
         episode: Number of the episode in the order of the recording.
         keywords: Further keywords of `gym.make`.
         on_step: Called after each step with the numbers of steps made and recorded.
+        on_observation: Called with the observation of the reset, and with that of each step.
 
     Raises:
         RecordingError: The recording does not fit this robot or cell, or begins at another configuration. Nothing but
@@ -200,16 +203,18 @@ def replay(
         check_replayable(header, core.config)
         check_same_actions(header, source, core)
         core.pipeline = tap = _Tap(core.pipeline)
+        observation: Any = None
         info: dict[str, Any] = {}
         consent = {MOVE_TO_START: True}
-        generator = generator_of(run, episode)
+        generator = generator_of(generator_text(run, episode), episode)
         if generator is not None:
             env.unwrapped.np_random = generator
-            _, info = env.reset(options=consent)
+            observation, info = env.reset(options=consent)
         else:
             for seed in resets_of(run, episode) if again else [source.seed]:
-                _, info = env.reset(seed=seed, options=consent)
-        found = _play(env, tap, source, info, exact=again, on_step=on_step)
+                observation, info = env.reset(seed=seed, options=consent)
+        on_observation(observation)
+        found = _play(env, tap, source, info, exact=again, on_step=on_step, on_observation=on_observation)
         if found.success is None:  # the recording was shorter than an episode: no more targets come
             core.cell.finish()
         return found
@@ -241,6 +246,7 @@ def _play(
     *,
     exact: bool,
     on_step: Callable[[int, int], None] | None,
+    on_observation: Callable[[Any], None],
 ) -> Replay:
     start = np.array(info["q_rad"], dtype=np.float64)
     gap = np.abs(start - source.q_rad[0])
@@ -255,7 +261,8 @@ def _play(
     equal, difference = 0, _unequal("joints", start, source.q_rad[0], "after the reset") if exact else ""
     ended_by, success, over = "", None, False
     for step, action in enumerate(source.action):
-        _, reward, terminated, truncated, info = env.step(action)
+        observation, reward, terminated, truncated, info = env.step(action)
+        on_observation(observation)
         targets.append(tap.targets_rad)
         joints.append(np.array(info["q_rad"]))
         flanges.append(np.array(info["flange_m"]))

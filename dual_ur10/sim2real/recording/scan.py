@@ -1,8 +1,9 @@
 """Structure of a record's file: metadata, schemas and the messages of each channel.
 
-`mcap` parses the records. This module frames them, because its stream reader skips unknown records, believes lengths
-within a record and drops the last chunk of a file that was cut off. Nothing in a file is trusted: lengths are checked
-against the size of the file before memory is taken, and nothing in it is ever executed.
+`mcap` parses all records but messages, of which there are millions. This module frames them, because the stream reader
+of `mcap` skips unknown records, believes lengths within a record and drops the last chunk of a file that was cut off.
+Nothing in a file is trusted: lengths are checked against the size of the file before memory is taken, and nothing in it
+is ever executed.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ try:
     from mcap.data_stream import ReadDataStream
     from mcap.exceptions import McapError
     from mcap.opcode import Opcode
-    from mcap.records import Channel, Chunk, DataEnd, Footer, Message, Metadata, Schema
+    from mcap.records import Channel, Chunk, DataEnd, Footer, Metadata, Schema
 except ImportError as error:
     raise MissingExtraError("mcap", "records", "reading a record") from error
 
@@ -36,6 +37,7 @@ _MOST_CHANNELS: Final = 64
 _HEAD: Final = struct.Struct("<BQ")
 _CHUNK_HEAD: Final = 40  # bytes before the messages of a chunk that is not compressed
 _MESSAGE_HEAD: Final = 22
+_MESSAGE: Final = struct.Struct("<BQHIQQ")  # code, length, channel, sequence, and both times
 _FOOTER: Final = 20
 _KNOWN: Final = frozenset(map(int, Opcode))
 _SKIPPED: Final = frozenset({Opcode.HEADER, Opcode.MESSAGE_INDEX})
@@ -245,26 +247,24 @@ class _Scan:
 
     def _messages(self, data: bytes, start: int) -> bool:
         """Keep every whole message. Return True if the data end with the last of them."""
-        stream, size = ReadDataStream(BytesIO(data)), len(data)
-        while size - stream.count >= _HEAD.size + _MESSAGE_HEAD:
-            code, length = stream.read1(), stream.read8()
+        at, size = 0, len(data)
+        while size - at >= _MESSAGE.size:
+            code, length, number, sequence, _, _ = _MESSAGE.unpack_from(data, at)
+            end = at + _HEAD.size + length
             if code != Opcode.MESSAGE or length < _MESSAGE_HEAD:
                 raise RecordingError(f"there is something else than messages in the chunk at byte {start}")
-            if length > size - stream.count:
+            if end > size:
                 return False
-            message = Message.read(stream, length)
-            number = message.channel_id
             topic = self._channels.get(number)
             if topic is None:
                 raise RecordingError(f"a message in the chunk at byte {start} is of channel {number}: there is none")
-            if message.sequence != self._next[number]:
-                raise RecordingError(
-                    f"{topic}: message {message.sequence} follows where {self._next[number]} is expected"
-                )
+            if sequence != self._next[number]:
+                raise RecordingError(f"{topic}: message {sequence} follows where {self._next[number]} is expected")
             self._next[number] += 1
             if topic in self._wanted:
-                self._found.messages[topic].append(message.data)
-        return stream.count == size
+                self._found.messages[topic].append(data[at + _MESSAGE.size : end])
+            at = end
+        return at == size
 
     def _summary(self) -> None:
         """Check that the summary is whole. Its content repeats that of the data."""

@@ -27,7 +27,7 @@ from dual_ur10.policies.policy import Policy
 from dual_ur10.registration import register
 from dual_ur10.sim2real.analysis.compare import compare
 from dual_ur10.sim2real.analysis.fit import fit
-from dual_ur10.sim2real.analysis.reconstruction import check_replayable, generator_of, keywords_of, resets_of
+from dual_ur10.sim2real.analysis.reconstruction import check_replayable, generator_text, keywords_of, resets_of
 from dual_ur10.sim2real.analysis.replay import RecordedPolicy, replay
 from dual_ur10.sim2real.analysis.tracks import flange_of
 from dual_ur10.sim2real.cell.cell_kinds import CELL_KINDS, CellKind
@@ -92,7 +92,7 @@ def test_without_the_generator_seeds_suffice(sine: Run) -> None:
         assert replay(forgetful, episode=number).is_exact
     unseeded = replace(forgetful, episodes=[replace(each, seed=None) for each in sine.episodes])
     assert resets_of(unseeded, 1) == [5, None]  # that of the header
-    assert generator_of(forgetful, 0) is None
+    assert generator_text(forgetful, 0) is None
 
 
 @pytest.mark.parametrize("what", ["targets", "joints", "reward"])

@@ -1,0 +1,1 @@
+"""LeRobot datasets: export of recorded runs, and datasets of others in simulation."""

@@ -1,0 +1,168 @@
+"""Datasets of others: followed in simulation, or refused by name."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from dual_ur10.errors import DatasetError, DualUR10Error, RecordingError
+from dual_ur10.lerobot.dataset_reader import read_dataset
+from dual_ur10.lerobot.dataset_writer import DatasetWriter
+from dual_ur10.lerobot.resimulation import JointColumns, follow_motions, joints_in, simulate_again
+from tests.cli.command import run as command
+from tests.lerobot.conftest import foreign
+
+UR = ["shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"]
+LEFT, RIGHT = tuple(range(6)), tuple(range(6, 12))
+
+
+@pytest.mark.parametrize(
+    ("names", "size", "places"),
+    [
+        (
+            [f"{arm}_{each}.pos" for arm in ("left", "right") for each in (*UR, "gripper")],
+            14,
+            (LEFT, tuple(range(7, 13))),
+        ),
+        ([f"{each}_joint" for each in UR], 6, (LEFT, None)),
+        ([f"joint_{k}" for k in range(1, 7)] + ["gripper"], 7, (LEFT, None)),
+        ([f"joint{k}.pos" for k in range(6)], 6, (LEFT, None)),
+        (["right_base", "right_shoulder", *(f"right_{each}" for each in UR[2:])], 6, (None, LEFT)),
+        ([*(f"right_j{k}" for k in range(1, 7)), *(f"left_j{k}" for k in range(1, 7))], 12, (RIGHT, LEFT)),
+        ([], 14, (LEFT, tuple(range(7, 13)))),
+    ],
+)
+def test_joints_are_found_by_their_names(names, size, places):
+    assert joints_in(names, size, "it") == places
+
+
+@pytest.mark.parametrize(("names", "size"), [(["x", "y", "z"], 3), (UR[:5], 5), ([], 8)])
+def test_other_names_are_refused(names, size):
+    with pytest.raises(DatasetError, match=r"no six joints .* --left 0:6"):
+        joints_in(names, size, "it")
+
+
+def test_motions_of_other_arms_are_followed(tmp_path):
+    """One arm in degrees at 30 frames per second: the left arm follows, and the right one stays at its start."""
+    start = np.array([0.0, -1.6, 1.9, -1.9, -1.57, 0.0])
+    times = np.arange(31)[:, None] / 30
+    motion = start + 0.1 * np.sin(2 * times) * np.array([1, 0.5, -0.5, 0, 1, 1])
+    foreign(DatasetWriter, tmp_path / "dataset", [motion[:4], motion], degrees=True)
+    dataset = read_dataset(tmp_path / "dataset")
+    with pytest.raises(DatasetError, match=r"beyond 2π: its unit is another one \(--degrees\)"):
+        follow_motions(dataset, JointColumns("action", (LEFT, None)))
+    (found,) = follow_motions(dataset, JointColumns("action", (LEFT, None), degrees=True), [1])
+    assert (found.steps, found.ended_by, found.difference) == (26, "", "")
+    assert found.largest_rad < 1e-3
+    code, text = command("import", "lerobot", str(dataset.folder), "--degrees", "-e", "0", "--no-record")
+    assert (code, "episode 0: 3 of 3 steps" in text) == (0, True), text
+    for option in (("--left", "0:7"), ("--left", "x"), ("--left", "2:8"), ("--feature", "state")):
+        assert command("import", "lerobot", str(dataset.folder), "--degrees", "--no-record", *option)[0] == 2
+
+
+def table_of(folder):
+    return folder / "data/chunk-000/file-000.parquet"
+
+
+def changed(name, change):
+    def apply(folder):
+        table = pq.read_table(table_of(folder))
+        values = change(np.array(table[name].to_pylist()))
+        column = pa.array(values.tolist(), table.schema.field(name).type)
+        pq.write_table(table.set_column(table.column_names.index(name), name, column), table_of(folder))
+
+    return apply
+
+
+def stated(**entries):
+    def apply(folder):
+        path = folder / "meta/info.json"
+        path.write_text(json.dumps(json.loads(path.read_text()) | entries))
+
+    return apply
+
+
+def without_column(folder):
+    pq.write_table(pq.read_table(table_of(folder)).drop_columns(["action"]), table_of(folder))
+
+
+def as_text(folder):
+    table = pq.read_table(table_of(folder))
+    place = table.column_names.index("next.reward")
+    pq.write_table(table.set_column(place, "next.reward", pa.array(["1"] * len(table))), table_of(folder))
+
+
+def nan(values):
+    values[3, 2] = np.nan
+    return values
+
+
+BAD = {
+    "no info": (lambda folder: (folder / "meta/info.json").unlink(), "info.json is missing"),
+    "no JSON": (lambda folder: (folder / "meta/info.json").write_text("{"), "info.json is no JSON"),
+    "nested": (lambda folder: (folder / "meta/info.json").write_text("[" * 10**5), "info.json is no JSON"),
+    "NaN": (lambda folder: (folder / "meta/info.json").write_text('{"fps": NaN}'), "holds NaN"),
+    "no data": (lambda folder: table_of(folder).unlink(), "has no data/chunk-000"),
+    "cut off": (
+        lambda folder: table_of(folder).write_bytes(table_of(folder).read_bytes()[:-9]),
+        "cannot read .*parquet",
+    ),
+    "version 2.0": (stated(codebase_version="v2.0"), "states the version 'v2.0': v3.0 and v2.1 are read"),
+    "version 4": (stated(codebase_version="v4.0"), "states the version 'v4.0'"),
+    "no version": (stated(codebase_version=3), "states the version 3"),
+    "rate": (stated(fps=30), r"is at 0\.0400 s, and at 30 frames per second belongs to 0\.0333 s"),
+    "no rate": (stated(fps=0), "is not legal: fps"),
+    "features": (stated(features={}), "no feature 'timestamp'"),
+    "frames": (stated(total_frames=15), "has 14 frames, and meta/info.json states 15"),
+    "episodes": (stated(total_episodes=3), "not those of episodes 0 to 2"),
+    "column": (without_column, "no column 'action'"),
+    "type": (as_text, "next.reward"),
+    "not finite": (changed("action", nan), "action has values that are not finite"),
+    "order": (changed("episode_index", lambda values: values[::-1]), "not those of episodes 0 to 1"),
+    "negative": (changed("episode_index", lambda values: values - 1), "not those of episodes 0 to 1"),
+    "times": (changed("timestamp", lambda values: values + 0.005), "another rate than it states"),
+}
+
+
+@pytest.mark.parametrize(("change", "message"), BAD.values(), ids=BAD)
+def test_a_dataset_that_is_not_as_it_states_is_refused(made, tmp_path, change, message):
+    shutil.copytree(made[1], tmp_path / "dataset")
+    change(tmp_path / "dataset")
+    with pytest.raises(DatasetError, match=message):
+        read_dataset(tmp_path / "dataset")
+
+
+def test_a_shape_that_is_not_as_it_states_is_refused(made, tmp_path):
+    shutil.copytree(made[1], tmp_path / "dataset")
+    path = tmp_path / "dataset/meta/info.json"
+    info = json.loads(path.read_text())
+    info["features"]["action"]["shape"] = [12]
+    path.write_text(json.dumps(info))
+    with pytest.raises(DatasetError, match="196 values in 14 rows, expected are 12 in each"):
+        read_dataset(tmp_path / "dataset")
+
+
+def test_nothing_that_a_dataset_names_is_imported(made, tmp_path):
+    """Its runs name registered environments alone, and paths that it states are not followed."""
+    shutil.copytree(made[1], tmp_path / "dataset")
+    stated(data_path="/etc/{chunk_index.__class__}", video_path="../../{file_index}")(tmp_path / "dataset")
+    read_dataset(tmp_path / "dataset")
+    path = tmp_path / "dataset/meta/dual_ur10.json"
+    own = json.loads(path.read_text())
+    for change, error, message in (
+        ({"runs": [own["runs"][0] | {"header": own["runs"][0]["header"].replace("Handover-v0", "os:system")}]},
+         RecordingError, "checksum is wrong"),
+        ({"episodes": own["episodes"][:1]}, DatasetError, "describes 1 episodes of 1 runs, and the dataset has 2"),
+        ({"format": "2"}, DatasetError, "not of format 1"),
+        ({"episodes": [own["episodes"][0] | {"run": 5}] * 2}, DatasetError, "describes 2 episodes of 1 runs"),
+        ({"episodes": [own["episodes"][0] | {"generator": "{}"}] * 2}, RecordingError, "generator of episode 0"),
+    ):  # fmt: skip
+        path.write_text(json.dumps(own | change))
+        with pytest.raises(error, match=message):
+            simulate_again(read_dataset(tmp_path / "dataset"))
+    assert issubclass(DatasetError, DualUR10Error)

@@ -117,3 +117,10 @@ def test_baselines_are_measured_and_continued(monkeypatch, tmp_path):
     assert [found[name][preset][1] for name in ("script", "bc") for preset in baselines.RANDOMIZATIONS] == [3] * 6
     assert found["bc"]["demonstrations"] == 2
     assert seeds == [0] * 6 + [2] * 6
+
+
+def test_an_export_is_measured(monkeypatch):
+    monkeypatch.syspath_prepend(FOLDER)
+    found = importlib.import_module("lerobot_export").measure(0.5, "ur10")
+    assert found["frames"] == 750
+    assert found["record_mib"] > 1.0

@@ -23,7 +23,7 @@ from dual_ur10.cli.options import (
     progress_of,
 )
 from dual_ur10.cli.records import DIFFERENT
-from dual_ur10.errors import SettingsError
+from dual_ur10.errors import SettingsError, UnknownNameError
 
 if TYPE_CHECKING:
     from dual_ur10.lerobot.dataset_reader import Dataset
@@ -55,12 +55,20 @@ def export_lerobot(
             "--successful", help="Only episodes that succeeded and, of demonstrations, that were kept. Default: all."
         ),
     ] = False,
+    form: Annotated[
+        str, typer.Option("--format", metavar="VERSION", help="v3.0, or v2.1 with modality.json for GR00T.")
+    ] = "v3.0",
     allow_partial: Partial = False,
 ) -> None:
     """Make a LeRobot dataset of recorded runs of one environment: commanded targets, steps, states, and images."""
     check_extras(_NEEDS)
+    from dual_ur10.lerobot.dataset_writer import DatasetWriter
+    from dual_ur10.lerobot.dataset_writer_v21 import DatasetWriterV21
     from dual_ur10.lerobot.lerobot_export import runs_of, to_lerobot
 
+    writers = {each.version: each for each in (DatasetWriter, DatasetWriterV21)}
+    if form not in writers:
+        raise UnknownNameError("format", form, list(writers))
     with progress_of(console) as progress:
         bar = progress.add_task("exporting")
         found = to_lerobot(
@@ -71,6 +79,7 @@ def export_lerobot(
             size=_size(size),
             successful=successful,
             allow_partial=allow_partial,
+            writer=writers[form],
             on_run=lambda done, total: progress.update(bar, completed=done, total=total),
         )
     console.print(

@@ -44,6 +44,12 @@ class DatasetWriter:
         features: Features by name, without `DEFAULTS`.
         robot_type: Name of the robot.
 
+    Attributes:
+        version: Version of the format.
+        part: Folder in which it is made.
+        tasks: Descriptions of tasks.
+        lengths, task_of, statistics: Frames, task and statistics of each episode so far.
+
     Raises:
         DatasetError: The folder exists, or cannot be written.
     """
@@ -57,13 +63,13 @@ class DatasetWriter:
         self.lengths: list[int] = []
         self.task_of: list[str] = []
         self.statistics: list[dict[str, Statistics]] = []
-        self._part = folder.with_name(f".{folder.name[:100]}.{secrets.token_hex(8)}.part")
+        self.part = folder.with_name(f".{folder.name[:100]}.{secrets.token_hex(8)}.part")
 
     def __enter__(self) -> DatasetWriter:
         if self.folder.exists() or self.folder.is_symlink():
             raise DatasetError(f"{self.folder} exists, and nothing is overwritten: name a new folder")
         try:
-            (self._part / "meta").mkdir(parents=True)
+            (self.part / "meta").mkdir(parents=True)
         except OSError as error:
             raise DatasetError(f"cannot make {self.folder}: {error}") from error
         self.begin()
@@ -75,11 +81,11 @@ class DatasetWriter:
         try:
             self.end(whole=kind is None)
             if kind is None:
-                self._part.rename(self.folder)
+                self.part.rename(self.folder)
         except OSError as reason:
             raise DatasetError(f"cannot write {self.folder}: {reason}") from reason
         finally:
-            shutil.rmtree(self._part, ignore_errors=True)
+            shutil.rmtree(self.part, ignore_errors=True)
 
     @property
     def image_keys(self) -> list[str]:
@@ -88,7 +94,7 @@ class DatasetWriter:
 
     def video_of(self, key: str) -> Path:
         """Return the file for a video of the next episode, in a folder that exists."""
-        path = self._part / self.video_name(key, len(self.lengths))
+        path = self.part / self.video_name(key, len(self.lengths))
         path.parent.mkdir(parents=True, exist_ok=True)
         return path
 
@@ -151,13 +157,13 @@ class DatasetWriter:
 
     def write_json(self, name: str, value: Any) -> None:
         """Write a JSON file of the dataset."""
-        path = self._part / name
+        path = self.part / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(json.dumps(value, indent=2, allow_nan=False) + "\n")
 
     def write_lines(self, name: str, values: list[Any]) -> None:
         """Write a file of the dataset with a JSON value per line."""
-        (self._part / name).write_text("".join(json.dumps(each, allow_nan=False) + "\n" for each in values))
+        (self.part / name).write_text("".join(json.dumps(each, allow_nan=False) + "\n" for each in values))
 
     def info(self) -> dict[str, Any]:
         """Return the content of `meta/info.json`."""
@@ -173,7 +179,7 @@ class DatasetWriter:
             "features": {name: each.to_json() for name, each in self.features.items()},
         }
 
-    # What follows is of format v3.0 alone.
+    # What follows is of format v3.0 alone; `DatasetWriterV21` has its own.
 
     def video_name(self, key: str, episode: int) -> str:
         """Return the path of a video of an episode, of which each has a file of its own."""
@@ -191,7 +197,7 @@ class DatasetWriter:
         if self._writer is None or self._bytes + table.nbytes > DATA_MB * 2**20:
             self._close()
             self._file, self._bytes = self._file + 1, 0
-            path = self._part / DATA_PATH.format(chunk_index=self._file // CHUNK, file_index=self._file % CHUNK)
+            path = self.part / DATA_PATH.format(chunk_index=self._file // CHUNK, file_index=self._file % CHUNK)
             path.parent.mkdir(parents=True, exist_ok=True)
             self._writer = pq.ParquetWriter(path, table.schema, compression="snappy", use_dictionary=False)
         self._writer.write_table(table, row_group_size=table.num_rows)
@@ -219,8 +225,8 @@ class DatasetWriter:
             },
         )
         self.write_json("meta/stats.json", self.all_statistics())
-        pq.write_table(_tasks(self.tasks), self._part / "meta/tasks.parquet")
-        path = self._part / "meta/episodes/chunk-000/file-000.parquet"
+        pq.write_table(_tasks(self.tasks), self.part / "meta/tasks.parquet")
+        path = self.part / "meta/episodes/chunk-000/file-000.parquet"
         path.parent.mkdir(parents=True)
         pq.write_table(self._episodes(), path)
 

@@ -125,6 +125,26 @@ def test_images_are_those_of_the_same_simulation(made, tmp_path):
         read_dataset(tmp_path / "dataset")
 
 
+def test_format_v2_1_has_the_same_frames_and_the_parts_that_gr00t_asks_for(made, tmp_path):
+    runs, folder, _ = made
+    target = tmp_path / "dataset"
+    assert command("export", "lerobot", str(runs), "--out", str(target), "--format", "v2.1")[0] == 0
+    found, expected = read_dataset(target), read_dataset(folder)
+    assert (found.version, found.lengths) == ("v2.1", expected.lengths)
+    for name, values in expected.columns.items():
+        assert found.columns[name].tobytes() == values.tobytes(), name
+    modality = json.loads((target / "meta/modality.json").read_text())
+    assert modality["action"] == modality["state"]
+    assert modality["action"]["right_arm"] == {"start": 7, "end": 13}
+    assert modality["action"]["right_gripper"] == {"start": 13, "end": 14}
+    lines = [json.loads(each) for each in (target / "meta/episodes.jsonl").read_text().splitlines()]
+    assert lines[1] == {"episode_index": 1, "tasks": ["Handover"], "length": STEPS[1]}
+    stats = [json.loads(each) for each in (target / "meta/episodes_stats.jsonl").read_text().splitlines()]
+    assert {*stats[0]["stats"][ACTION]} == {"min", "max", "mean", "std", "count"}
+    assert [each.difference for each in simulate_again(found)] == ["", ""]
+    assert command("export", "lerobot", str(runs), "--out", str(tmp_path / "x"), "--format", "v2.0")[0] == 2
+
+
 def test_the_concise_view_is_exported_with_rounded_targets(tmp_path):
     commanded = recorded(tmp_path / "runs", "DualUR10/SineTracking-v0", (4,), observation="goals")
     to_lerobot(runs_of([tmp_path / "runs"]), tmp_path / "dataset")

@@ -188,6 +188,10 @@ class ChunkError(PolicyError):
     """Raised when a chunk policy returns something else than a chunk of actions, or nothing. Arms have come to rest."""
 
 
+class PolicyServerError(DualUR10Error, RuntimeError):
+    """Raised when a policy server is not there, is gone, does not answer, or answers with something else."""
+
+
 class DeviceError(DualUR10Error, RuntimeError):
     """Base class of the errors of an input device with which a person leads the arms."""
 

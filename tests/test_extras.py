@@ -71,6 +71,8 @@ USES = (
     ("records", "mcap.data_stream", imported("dual_ur10.sim2real.recording.scan")),
     ("records", "scipy.interpolate", called("dual_ur10.sim2real.analysis.series:interpolate", *(np.zeros(2),) * 3)),
     ("records", "tomlkit", imported("dual_ur10.sim2real.analysis.cell_update")),
+    ("remote", "msgspec", imported("dual_ur10.policies.remote")),
+    ("remote", "websockets", imported("dual_ur10.policies.remote")),
     ("serial", "serial", called("dual_ur10.sim2real.serial_arm.serial_line:SerialTransport", "/dev/none", 9600)),
     ("teleop", "sdl2", called("dual_ur10.policies.operators.sdl:load", "a gamepad")),
     ("train", "stable_baselines3", imported("dual_ur10.policies.training.models")),

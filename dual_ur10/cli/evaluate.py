@@ -41,6 +41,7 @@ from dual_ur10.cli.session import (
 )
 from dual_ur10.errors import SettingsError
 from dual_ur10.ids import env_id_of
+from dual_ur10.policies.registry import is_remote
 from ur_core.files import check_target
 from ur_core.processes.interrupts import INTERRUPTED
 
@@ -92,7 +93,9 @@ def evaluate(
     check_leader(policy, operator)
     if operator is not None and operator.partition(":")[0] == "page":
         raise SettingsError("evaluate shows no page: use rollout, view or live with --operator page")
-    envs = envs if cell is None and "record" not in keywords and operator is None else 1
+    # A server may keep the state of one episode.
+    alone = cell is not None or "record" in keywords or operator is not None or is_remote(policy)
+    envs = 1 if alone else envs
     check_min_success(min_success)
     check_extras(cell=cell, devices=[operator])
     targets = [path for path in (json, csv) if path is not None]

@@ -40,6 +40,7 @@ _COMMANDS: Final[dict[str, dict[str, str]]] = {
     "Learn": {
         "train SineTracking --algo ppo --out sine": "train:train",
         "collect SyncCarry --episodes 200 --randomization mild": "collect:collect",
+        "serve sine --port 8000": "serve:serve",
         "convert model.zip SineTracking --out sine --trust-pickle": "convert:convert",
     },
     "Controllers, emulated or real": {

@@ -38,7 +38,10 @@ EnvName = Annotated[
         metavar="ENV", help="An id, such as DualUR10/SineTracking-v0, or its short form SineTracking; `list` names all."
     ),
 ]
-POLICIES = "scripted, learned, learned-two-agents, random or zero; the folder of a checkpoint; or module:Class."
+POLICIES = (
+    "scripted, learned, learned-two-agents, random or zero; the folder of a checkpoint; module:Class; or "
+    "remote:ws://HOST:PORT, a policy server."
+)
 """Forms of --policy."""
 
 PolicyName = Annotated[
@@ -214,6 +217,7 @@ PACKAGES: Final[Mapping[str, Mapping[str, str]]] = {
     "plot": {"matplotlib": "matplotlib", "imageio-ffmpeg": "imageio_ffmpeg", "jinja2": "jinja2"},
     "real": {"ur_rtde": "rtde_control", "PyYAML": "yaml", "scipy": "scipy"},
     "records": {"mcap": "mcap", "mcap-ros2-support": "mcap_ros2", "scipy": "scipy", "tomlkit": "tomlkit"},
+    "remote": {"websockets": "websockets", "msgspec": "msgspec"},
     "serial": {"pyserial": "serial"},
     "teleop": {"PySDL2": "sdl2", "pyserial": "serial"},
     "train": {"stable-baselines3": "stable_baselines3", "torch": "torch"},

@@ -40,7 +40,7 @@ NAMES: Final = ("scripted", *LEARNED_NAMES)
 _ARGUMENTS: Final = ("timing", "action_mode", "action_scale", "mounts", "limits", "settings", "tools", "grippers")
 """Arguments of a scripted policy, by which it knows the environment; see `ScriptedPolicy`."""
 
-OTHERS: Final = "the path of a checkpoint or module:Class"
+OTHERS: Final = "the path of a checkpoint, module:Class or remote:ws://HOST:PORT"
 """Further forms that `load` accepts, for messages."""
 
 
@@ -48,11 +48,19 @@ def is_path(name: object) -> bool:
     """Return True if `load` treats this as the path of a checkpoint and not as a name."""
     if not isinstance(name, str):
         return isinstance(name, os.PathLike)
-    return name not in NAMES and "\0" not in name and (os.sep in name or os.path.lexists(name))
+    is_name = name in NAMES or is_remote(name)
+    return not is_name and "\0" not in name and (os.sep in name or os.path.lexists(name))
+
+
+def is_remote(name: object) -> bool:
+    """Return True if `load` treats this as the address of a policy server, "remote:ws://HOST:PORT"."""
+    return isinstance(name, str) and name.startswith("remote:")
 
 
 def is_class(name: object) -> bool:
     """Return True if `load` treats this as a class, "package.module:Class", and not as a name or path."""
+    if is_remote(name):
+        return False
     return isinstance(name, str) and not is_path(name) and re.fullmatch(r"[^\W\d][\w.]*:[^\W\d]\w*", name) is not None
 
 
@@ -62,7 +70,7 @@ def check_name(name: str) -> None:
     Raises:
         UnknownNameError: It has not.
     """
-    if name not in (*NAMES, *BASELINES) and not is_path(name) and not is_class(name):
+    if name not in (*NAMES, *BASELINES) and not (is_path(name) or is_class(name) or is_remote(name)):
         raise UnknownNameError("policy", name, (*NAMES, *BASELINES), OTHERS)
 
 
@@ -144,8 +152,8 @@ def load(name: str | os.PathLike[str], env_id: str | None = None, **keywords: An
     Args:
         name: One of `NAMES`; the path of a checkpoint's folder; or "package.module:Class", a class of your own. It is
             made with those of the arguments `timing`, `action_mode`, `action_scale`, `mounts`, `limits`, `settings`,
-            `tools` and `grippers` that it takes; without an environment, with none. Text that contains a "/" or names
-            an existing file is a path.
+            `tools` and `grippers` that it takes; without an environment, with none. Or the address of a policy server,
+            "remote:ws://HOST:PORT". Other text that contains a "/" or names an existing file is a path.
         env_id: Id of the environment, or its short form. None: that of the checkpoint; a name requires an id.
         **keywords: As for `gym.make`. A policy ignores those that concern neither task nor cell. Without `env_id` and
             keywords, the checkpoint's own keywords apply.
@@ -159,6 +167,12 @@ def load(name: str | os.PathLike[str], env_id: str | None = None, **keywords: An
     """
     keywords = {key: value for key, value in keywords.items() if key not in _OF_INTERFACES}
     env_id = None if env_id is None else env_id_beside(name, env_id)
+    if is_remote(name):
+        if env_id is None:
+            raise SettingsError(f"policy {str(name)!r:.200} needs an environment: name one of {', '.join(TASKS)}")
+        from dual_ur10.policies.remote.remote_policy import connect
+
+        return connect(str(name), setup_of(env_id, keywords))
     if is_class(name):
         return _made(str(name), env_id, keywords)
     if name in LEARNED_NAMES and env_id is not None:

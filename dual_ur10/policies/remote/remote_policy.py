@@ -1,0 +1,281 @@
+"""Chunk policy that asks a server, and the policy for servers of single actions."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+from urllib.parse import parse_qs, urlsplit, urlunsplit
+
+import numpy as np
+import websockets.sync.client
+
+from dual_ur10.errors import PolicyServerError, SettingsError
+from dual_ur10.policies.chunks.chunk_policy import CHUNK_MODES, checked_chunk
+from dual_ur10.policies.chunks.executor import executor_for
+from dual_ur10.policies.remote.key_mapping import Mapped, WireMapping
+from dual_ur10.policies.remote.wire import MOST_BYTES, packed, unpacked
+from ur_core.tools.tool import strokes_m
+from ur_core.types import Array
+
+if TYPE_CHECKING:
+    from dual_ur10.envs.core.setup import EnvSetup
+    from dual_ur10.policies.policy import Policy
+
+PREFIX: Final = "remote:"
+_CONNECT_S: Final = 5.0
+_OPTIONS: Final = ("mapping", "token")
+
+
+class RemotePolicy:
+    """Chunk policy that asks a server by openpi's WebSocket protocol.
+
+    It sends one observation at a time and waits for the answer, so that a chunk belongs to its observation. The time
+    stays on this side. Nothing that is received runs code.
+
+    Args:
+        address: Such as "ws://127.0.0.1:8000".
+        mapped: Observations and actions in the form of the server.
+        token: Text that the server wants, sent as "Authorization: Api-Key ..."; None: none.
+
+    Attributes:
+        metadata: What the server has stated of itself.
+        dt_s: Time between two actions of a chunk.
+        action_mode: Meaning of the actions, see `ChunkPolicy`.
+
+    Raises:
+        PolicyServerError: There is no such server, or it states neither of both, as the mapping does.
+    """
+
+    def __init__(self, address: str, mapped: Mapped, token: str | None = None) -> None:
+        self.address, self._mapped, self._token = address, mapped, token
+        self.__name__ = f"{PREFIX}{address}"
+        self._socket: Any = None
+        self.metadata = self._connected()
+        mapping = mapped.mapping
+        dt_s = mapping.dt_s if mapping.dt_s is not None else self.metadata.get("dt_s")
+        mode = mapping.action_mode or self.metadata.get("action_space")
+        if not isinstance(dt_s, int | float) or mode not in CHUNK_MODES:
+            self.close()
+            raise PolicyServerError(
+                f"{address} states dt_s {dt_s!r:.40} and action_space {mode!r:.40}: write dt_s and action_mode, "
+                f"{' or '.join(map(repr, CHUNK_MODES))}, into a mapping file, and add ?mapping=FILE to the address"
+            )
+        self.dt_s, self.action_mode = float(dt_s), str(mode)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.address!r})"
+
+    def _connected(self) -> dict[str, Any]:
+        """Connect, and return what the server states of itself."""
+        headers = {} if self._token is None else {"Authorization": f"Api-Key {self._token}"}
+        try:
+            self._socket = websockets.sync.client.connect(
+                self.address,
+                additional_headers=headers,
+                max_size=MOST_BYTES,
+                compression=None,
+                ping_interval=None,  # a server that computes does not answer
+                open_timeout=_CONNECT_S,
+                close_timeout=1.0,
+                proxy=None,
+            )
+        except (OSError, websockets.exceptions.WebSocketException) as error:
+            raise PolicyServerError(f"no policy server at {self.address}: {error}. Is it running?") from error
+        found = self._received(_CONNECT_S)
+        if not isinstance(found, dict):
+            self.close()
+            raise PolicyServerError(f"{self.address} began with {type(found).__name__} instead of its metadata")
+        return found
+
+    def close(self) -> None:
+        """Close the connection. May be called twice."""
+        if self._socket is not None:
+            self._socket.close()
+
+    def reset(self) -> None:
+        """Reset the policy of a server that can be reset; connect again to one that is gone.
+
+        Raises:
+            PolicyServerError: It does not answer.
+        """
+        if self._socket.state is not websockets.protocol.State.OPEN:
+            self.metadata = self._connected()
+        if self._mapped.mapping.endpoint or "reset" in (self.metadata.get("endpoints") or ()):
+            self._sent({"endpoint": "reset"})
+            self._received(self._mapped.mapping.timeout_s, text=True)
+
+    def chunk(self, observation: Any, time_s: float) -> Array:
+        """Return the server's chunk for an observation, (H, D).
+
+        Raises:
+            PolicyServerError: It is gone, does not answer, or answers with something else.
+        """
+        request = self._mapped.request(observation)
+        if self.metadata.get("time_key") == "time_s":
+            request["time_s"] = time_s
+        self._sent(request)
+        answer = self._received(self._mapped.mapping.timeout_s)
+        key = self._mapped.mapping.action_key
+        if isinstance(answer, dict) and answer.get("type") == "error":
+            raise PolicyServerError(f"{self.address} failed: {answer.get('message')!r:.500}")
+        if not isinstance(answer, dict) or key not in answer:
+            found = f"a dict of {', '.join(map(repr, answer))}" if isinstance(answer, dict) else type(answer).__name__
+            raise PolicyServerError(f"{self.address} answered with {found:.200}: an answer has {key!r}")
+        actions = np.asarray(answer[key]) if isinstance(answer[key], np.ndarray | list) else np.zeros(0)
+        if actions.ndim == 3 and len(actions) == 1:
+            actions = actions[0]
+        if actions.ndim != 2 or actions.dtype.kind not in "fiu":
+            found = f"{actions.dtype} of shape {actions.shape}"
+            raise PolicyServerError(f"{self.address} sent actions that are {found}: they must be numbers, (H, D)")
+        return self._mapped.chunk(actions.astype(np.float64), observation, self.action_mode)
+
+    def _sent(self, request: dict[str, Any]) -> None:
+        try:
+            self._socket.send(packed(request))
+        except (OSError, websockets.exceptions.ConnectionClosed) as error:
+            raise PolicyServerError(f"{self.address} is gone: {error}") from error
+
+    def _received(self, timeout_s: float, *, text: bool = False) -> Any:
+        """Return the content of the next message; a text is an error of the server, unless it is expected."""
+        try:
+            message = self._socket.recv(timeout=timeout_s)
+        except TimeoutError as error:
+            self.close()  # a late answer must not be taken for that of another observation
+            raise PolicyServerError(
+                f"{self.address} has not answered for {timeout_s:g} s: is it overloaded?"
+            ) from error
+        except (OSError, websockets.exceptions.ConnectionClosed) as error:
+            raise PolicyServerError(f"{self.address} is gone: {error}") from error
+        if isinstance(message, str):
+            if text:
+                return message
+            self.close()
+            raise PolicyServerError(f"{self.address} failed: {message.strip()[-500:]}")
+        try:
+            return unpacked(message, self.address)
+        except PolicyServerError:
+            self.close()
+            raise
+
+
+class RemoteSteps:
+    """Policy that asks a server of single actions within the control loop.
+
+    On controllers the answer must come within the latency of actions, or both arms stop.
+
+    Args:
+        source: The server.
+        size: Numbers of an arm's action.
+    """
+
+    def __init__(self, source: RemotePolicy, size: int) -> None:
+        self.source, self._size = source, size
+        self.__name__ = source.__name__
+
+    def reset(self) -> None:
+        """Reset the policy of the server."""
+        self.source.reset()
+
+    def close(self) -> None:
+        """Close the connection. May be called twice."""
+        self.source.close()
+
+    def __call__(self, observation: Any) -> Array:
+        """Return the float32 action for an observation, or one for each row of a batch of observations.
+
+        Raises:
+            PolicyServerError: The server is gone, does not answer, or answers with something else.
+            ChunkError: It returned no action.
+        """
+        if np.ndim(observation) != 2:
+            return self._action(observation)
+        return np.stack([self._action(row) for row in observation])
+
+    def _action(self, observation: Any) -> Array:
+        found = self.source.chunk(observation, 0.0)
+        chunk = checked_chunk(found, self.source.dt_s, self.source.action_mode, self._size, self.__name__)
+        action: Array = chunk[0].reshape(-1).astype(np.float32)
+        return action
+
+
+def connect(name: str, setup: EnvSetup, **options: Any) -> Policy:
+    """Return the policy of a server for an environment.
+
+    Args:
+        name: "remote:ws://HOST:PORT", with "?mapping=FILE" and "&token=FILE" if the server wants them.
+        setup: The environment.
+        **options: `latency_s` and `replan_s` of `ChunkExecutor`.
+
+    Raises:
+        SettingsError: The address or a file is not legal, or the environment has other keywords than the policy.
+        PolicyServerError: There is no such server, or it has another policy.
+    """
+    address, mapping, token = _parsed(name)
+    task = setup.make_task()
+    grippers = setup.config.equipment.grippers and not setup.config.equipment.welded
+    mapped = Mapped(mapping, task.layout, strokes_m(setup.config.equipment.tools), grippers=grippers)
+    source = RemotePolicy(address, mapped, token)
+    try:
+        _check_signature(source.metadata, setup, address)
+        if source.metadata.get("action_horizon") == 1:
+            if abs(source.dt_s - setup.timing.period_s) > 1e-6 or source.action_mode != setup.options.action_mode:
+                raise SettingsError(
+                    f"{address} returns one action at a time, as {source.action_mode!r} every {source.dt_s:g} s: make "
+                    f"the environment with action_mode={source.action_mode!r}, policy_rate_hz={1 / source.dt_s:g}"
+                )
+            return RemoteSteps(source, 7 if grippers else 6)
+        return executor_for(source, setup, silent_s=mapping.timeout_s, **options)
+    except BaseException:
+        with contextlib.suppress(Exception):
+            source.close()
+        raise
+
+
+def _check_signature(metadata: dict[str, Any], setup: EnvSetup, address: str) -> None:
+    """Compare what a server of this package states of its policy with an environment."""
+    stated = metadata.get("env_id")
+    if stated is not None and stated != setup.env_id:
+        raise PolicyServerError(f"the policy of {address} is for {stated!r:.80}, not for {setup.env_id}")
+    keywords = metadata.get("keywords")
+    for name, value in (keywords if isinstance(keywords, dict) else {}).items():
+        found = getattr(setup.options, str(name), None)
+        if name in ("action_mode", "action_scale", "observation") and found not in (None, value):
+            raise SettingsError(
+                f"the policy of {address} was made with {name}={value!r:.80}, and the environment has {found!r}: pass "
+                f"--set {name}={value}"
+            )
+
+
+def _parsed(name: str) -> tuple[str, WireMapping, str | None]:
+    """Return address, mapping and token of a name."""
+    try:
+        parts = urlsplit(name.removeprefix(PREFIX))
+        port, host = parts.port, parts.hostname
+    except ValueError as error:
+        raise SettingsError(f"{name!r:.200} is no address: {error}") from None
+    given = parse_qs(parts.query, keep_blank_values=True)
+    unknown = [key for key in given if key not in _OPTIONS]
+    if parts.scheme not in ("ws", "wss") or not host or port is None or unknown:
+        raise SettingsError(
+            f"{name!r:.200} is no policy server: write remote:ws://HOST:PORT, with ?mapping=FILE or &token=FILE"
+        )
+    mapping, token = (given[key][0] if key in given else None for key in _OPTIONS)
+    address = urlunsplit((parts.scheme, parts.netloc, parts.path, "", ""))
+    read = WireMapping() if mapping is None else WireMapping.read(Path(mapping))
+    return address, read, None if token is None else token_of(Path(token))
+
+
+def token_of(path: Path) -> str:
+    """Return the token in a file, its first line.
+
+    Raises:
+        SettingsError: It cannot be read, or is shorter than 16 characters.
+    """
+    try:
+        lines = path.read_text(encoding="ascii").split()
+    except (OSError, UnicodeDecodeError) as error:
+        raise SettingsError(f"the token in {path} cannot be read: {error}") from error
+    if not lines or len(lines[0]) < 16:
+        raise SettingsError(f"the token in {path} must have 16 characters or more, in one line without spaces")
+    return lines[0]

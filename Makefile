@@ -168,8 +168,9 @@ test-torchrl: $(VENV)/.dev $(KERNEL)  ## TorchRL's own wrappers and checks, whic
 test-rllib: $(RLLIB)/.dev $(KERNEL)  ## training on Ray RLlib with two workers on this machine
 	@$(RLLIB)/bin/python -m pytest tests/distributed
 
-clients: $(VENV)/.dev $(CLIENTS)/.dev $(KERNEL)  ## other client libraries against emulated controllers; writes the table of docs/reference/clients.md
+clients: $(VENV)/.dev $(CLIENTS)/.dev $(KERNEL)  ## other client libraries against emulated controllers and policy servers; writes the table of docs/reference/clients.md
 	@$(VENV)/bin/python benchmarks/clients.py --python $(CLIENTS)/bin/python --page docs/reference/clients.md
+	@$(VENV)/bin/python benchmarks/policy_servers.py --python $(CLIENTS)/bin/python
 
 # Properties are the same in every other run. Here they draw anew; a failure prints the decorator that replays it.
 soak: $(VENV)/.dev $(KERNEL)  ## the tests with their full counts (about twenty times as long), fresh draws or those of SEED

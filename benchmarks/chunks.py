@@ -1,6 +1,7 @@
 """Chunks of actions: splices under delays and losses, and the error that chunks add to a policy.
 
-python benchmarks/chunks.py [--splices 1000000] [--processes 1] [--episodes 5] [--virtual 3] [--json FILE]
+python benchmarks/chunks.py [--splices 1000000] [--processes 1] [--episodes 5] [--virtual 3] [--controllers 3,5]
+    [--json FILE]
 
 splices: Chunk policies change their mind with each chunk, by up to 50 mrad and 0.1 rad/s in every joint. Their chunks
     are of 10 to 40 actions, 20 to 200 ms apart, as steps or positions. They come 0 to 0.7 s late, one in twenty is
@@ -9,7 +10,9 @@ splices: Chunk policies change their mind with each chunk, by up to 50 mrad and 
 virtual: The same delays on virtual cells, whose arms lag behind; the chunks are those of the scripted SineTracking.
 added_rms_mm: Error of the flanges in SineTracking beyond that of the scripted policy, from its own motion in chunks of
     25 actions at 10 Hz that come 80 to 180 ms late; the largest of the episodes, the wait for the first chunk included.
-outsider_rms_mm: The same, 80 ms late.
+outsider_rms_mm: The same, but a policy server in another process answers after 80 ms, and the measured time counts.
+controllers: The shipped policies of SineTracking and Handover, played by such servers in chunks of 25 actions at 25 Hz,
+    on emulated cells in real time.
 """
 
 from __future__ import annotations
@@ -20,10 +23,14 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(name, "1")
 
 import argparse
+import contextlib
 import json
 import multiprocessing
+import subprocess
 import sys
+import tempfile
 import time
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,15 +42,17 @@ from dual_ur10.assets.settings import SceneSettings, home_q_rad
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.policies import make, rollout
 from dual_ur10.policies.chunks.executor import ChunkExecutor, executor_for
+from dual_ur10.policies.policy import close_policy
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.pipeline import ServojPipeline
-from dual_ur10.testing import VirtualCell
+from dual_ur10.testing import CellForTests, VirtualCell
 from tests.policies.chunks.planned import Planned
 from ur_core.kinematics.forward import elbow_flange_and_tcp
 
 ENV_ID = "DualUR10/SineTracking-v0"
 ROWS, EPISODE_S, LATEST_S, LOST = 16, 60.0, 0.7, 0.05
 ROUNDING = 1.0 + 1e-6
+WORKER = Path(__file__).parent / "workers" / "chunk_server.py"
 
 
 class Fickle:
@@ -146,22 +155,66 @@ def virtual(episodes: int) -> dict[str, int]:
     return found
 
 
-def added_rms_mm(episodes: int, latency: Any) -> float:
-    """Return the largest error of a flange beyond that of the scripted policy; all episodes must succeed."""
-    added = []
+@contextlib.contextmanager
+def served(env_id: str, policy: str, seed: int, latency_s: float, rate_hz: float) -> Iterator[str]:
+    """Serve a shipped policy's episodes in chunks from another process, and yield the name of the policy."""
+    words = [sys.executable, str(WORKER), env_id, policy, str(seed), str(latency_s), "25", str(rate_hz)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None  # noqa: S101  # it is a pipe
+            yield f"remote:{process.stdout.readline().strip()}"
+        finally:
+            process.kill()
+
+
+def rms_mm(policy: Any, seed: int, latency: Any = None) -> float:
+    """Return the larger error of both flanges in an episode that succeeds; otherwise NaN."""
+    env, actor = make(policy, ENV_ID)
+    if latency is not None:
+        actor.latency_s = latency
+    record = rollout(env, actor, seed=seed)
+    env.close()
+    close_policy(actor)
+    return float(1e3 * np.sqrt((record.flange_error_m**2).mean(axis=0)).max()) if record.success else float("nan")
+
+
+def jitter_of(rng: np.random.Generator) -> Any:
+    """Return a function that samples delays of 80 to 180 ms."""
+    return lambda: float(rng.uniform(0.08, 0.18))
+
+
+def added_rms_mm(episodes: int) -> tuple[float, float]:
+    """Return the largest errors beyond those of the script, with jitter and from another process."""
+    jittered, far = [], []
     for seed in range(episodes):
-        rms = []
-        for policy in ("scripted", Planned(ENV_ID, seed=seed)):
-            env, actor = make(policy, ENV_ID)
-            if policy != "scripted":
-                actor.latency_s = latency(np.random.default_rng(seed))
-            record = rollout(env, actor, seed=seed)
-            env.close()
-            if not record.success:
-                return float("nan")
-            rms.append(1e3 * np.sqrt((record.flange_error_m**2).mean(axis=0)).max())
-        added.append(rms[1] - rms[0])
-    return float(max(added))
+        own = rms_mm("scripted", seed)
+        jittered.append(rms_mm(Planned(ENV_ID, seed=seed), seed, jitter_of(np.random.default_rng(seed))) - own)
+        with served(ENV_ID, "scripted", seed, 0.08, 10.0) as name:
+            far.append(rms_mm(name, seed) - own)
+    return float(np.max(jittered)), float(np.max(far))
+
+
+def controllers(counts: Sequence[int]) -> dict[str, Any]:
+    """Run the shipped policies as chunk servers 80 ms away on emulated cells."""
+    found: dict[str, Any] = {}
+    for env_id, count in zip((ENV_ID, "DualUR10/Handover-v0"), counts, strict=True):
+        successes, splices, late = 0, 0, 0
+        for seed in range(count):
+            with (
+                tempfile.TemporaryDirectory() as folder,
+                CellForTests(Path(folder), task=env_id) as cell,
+                served(env_id, "learned", seed, 0.08, 25.0) as name,
+            ):
+                env, actor = make(name, env_id, cell=cell.path)
+                try:
+                    successes += rollout(env, actor, seed=seed).success
+                    splices += actor.splices
+                    late += env.unwrapped.core.late_actions
+                finally:
+                    env.close()
+                    close_policy(actor)
+        found[env_id] = {"successes": successes, "episodes": count, "splices": splices, "late_actions": late}
+    return found
 
 
 def main() -> None:
@@ -171,17 +224,23 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--episodes", type=int, default=5)
     parser.add_argument("--virtual", type=int, default=3)
+    parser.add_argument("--controllers", default="3,5", help="episodes of SineTracking and Handover in real time")
     parser.add_argument("--json", type=Path)
     asked = parser.parse_args()
-    began_s = time.perf_counter()
-    shares = [(-(-asked.splices // asked.processes), seed) for seed in range(asked.processes)]
-    with multiprocessing.get_context("spawn").Pool(asked.processes) as pool:
-        parts = pool.starmap(splice, shares)
-    found: dict[str, Any] = {name: sum(part[name] for part in parts) for name in parts[0]}
-    found["minutes"] = (time.perf_counter() - began_s) / 60.0
-    found["virtual"] = virtual(asked.virtual)
-    found["added_rms_mm"] = added_rms_mm(asked.episodes, lambda rng: lambda: float(rng.uniform(0.08, 0.18)))
-    found["outsider_rms_mm"] = added_rms_mm(asked.episodes, lambda rng: 0.08)
+    found: dict[str, Any] = {}
+    if asked.splices:
+        began_s = time.perf_counter()
+        shares = [(-(-asked.splices // asked.processes), seed) for seed in range(asked.processes)]
+        with multiprocessing.get_context("spawn").Pool(asked.processes) as pool:
+            parts = pool.starmap(splice, shares)
+        found = {name: sum(part[name] for part in parts) for name in parts[0]}
+        found["minutes"] = (time.perf_counter() - began_s) / 60.0
+    if asked.virtual:
+        found["virtual"] = virtual(asked.virtual)
+    if asked.episodes:
+        found["added_rms_mm"], found["outsider_rms_mm"] = added_rms_mm(asked.episodes)
+    if any(counts := [int(each) for each in asked.controllers.split(",")]):
+        found["controllers"] = controllers(counts)
     text = json.dumps(found, indent=1)
     print(text)
     if asked.json is not None:

@@ -437,12 +437,12 @@ def executor_for(source: ChunkPolicy, setup: EnvSetup, **options: Any) -> ChunkE
 def _row_of(observation: Any, row: int) -> Any:
     """Return the observation of one cell out of a batch."""
     if isinstance(observation, Mapping):
-        return {name: values[row] for name, values in observation.items()}
+        return {name: _row_of(values, row) for name, values in observation.items()}
     return observation[row]
 
 
 def _copied(observation: Any) -> Any:
     """Return a copy of the observation of one cell, since environments may reuse theirs."""
     if isinstance(observation, Mapping):
-        return {name: np.array(values) for name, values in observation.items()}
+        return {name: _copied(values) for name, values in observation.items()}
     return np.array(observation)

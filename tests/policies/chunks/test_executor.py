@@ -207,6 +207,21 @@ def test_rows_of_a_batch_act_as_alone():
     assert rewards[0][0] == pytest.approx(rewards[1][0], abs=0.5)
 
 
+class Seeing(Sway):
+    """It looks at an image, too."""
+
+    def chunk(self, observation, time_s):
+        assert observation["pixels"]["front"].shape == (8, 12, 3)
+        return super().chunk(observation["state"], time_s)
+
+
+def test_images_reach_the_chunk_policy_alone_and_in_batches():
+    keywords = {"observation": "both", "cameras": ("front",), "width": 12, "height": 8, "duration_s": 0.4}
+    for envs in (1, 2):
+        found = evaluate("SineTracking", Seeing(), episodes=2, num_envs=envs, env_kwargs=keywords)
+        assert [each.ended_by for each in found.episodes] == ["", ""]
+
+
 @pytest.mark.parametrize("keywords", [{}, {"action_mode": "joint_position"}, {"observation": "goals"}])
 def test_chunk_policies_are_made_and_rolled_out_as_others(keywords):
     source = Sway(home=home_q_rad(SceneSettings().mounts).reshape(12)) if "observation" in keywords else Sway()

@@ -42,13 +42,21 @@ class TaskEntry:
 
 
 _TASKS, _SCRIPTED, _LEARNED = "dual_ur10.envs.tasks", "dual_ur10.policies.scripted", "dual_ur10.policies.learned"
+_FOLLOWER = f"{_SCRIPTED}.goal_follower:GoalFollower"
 _SETTINGS = "dual_ur10.policies.training.settings"
 
 
-def _entry(task: str, scripted: str) -> TaskEntry:
-    """Return the entry of a task that is one file of `dual_ur10.tasks`, with the class of its script."""
+def _entry(task: str, scripted: str, training: str) -> TaskEntry:
+    """Return the entry of a task that is one file of `dual_ur10.tasks`, whose goals lead through all stages."""
     module = task.partition(":")[0]
-    return TaskEntry(task=f"dual_ur10.tasks.{task}", scripted={"": f"dual_ur10.tasks.{module}:{scripted}"})
+    return TaskEntry(
+        task=f"dual_ur10.tasks.{task}",
+        scripted={
+            "": f"dual_ur10.tasks.{module}:{scripted}",
+            "tcp_delta": _FOLLOWER,
+        },
+        training=f"{_SETTINGS}:{training}",
+    )
 
 
 TASKS: Final = {
@@ -65,7 +73,7 @@ TASKS: Final = {
         task=f"{_TASKS}.sync_carry.task:SyncCarry",
         scripted={
             "": f"{_SCRIPTED}.sync_carry:SyncCarryPolicy",
-            "tcp_delta": f"{_SCRIPTED}.goal_follower:SyncCarryFollower",
+            "tcp_delta": _FOLLOWER,
         },
         training=f"{_SETTINGS}:SYNC_CARRY",
         learned={"learned": f"{_LEARNED}:learned_policies/sync_carry"},
@@ -74,16 +82,18 @@ TASKS: Final = {
         task=f"{_TASKS}.handover.task:Handover",
         scripted={
             "": f"{_SCRIPTED}.handover:HandoverPolicy",
-            "tcp_delta": f"{_SCRIPTED}.goal_follower:HandoverFollower",
+            "tcp_delta": _FOLLOWER,
         },
         training=f"{_SETTINGS}:HANDOVER",
         learned={"learned": f"{_LEARNED}:learned_policies/handover"},
     ),
     "DualUR10/Free-v0": TaskEntry(task=f"{_TASKS}.free.task:Free"),
-    "DualUR10/PegInsertion-v0": _entry("peg_insertion:PegInsertion", "PegScript"),
-    "DualUR10/TrayBalance-v0": _entry("tray_balance:TrayBalance", "TrayScript"),
-    "DualUR10/BoxLift-v0": _entry("box_lift:BoxLift", "BoxScript"),
-    "DualUR10/LidAndPlace-v0": _entry("lid_and_place:LidAndPlace", "LidScript"),
+    "DualUR10/PegInsertion-v0": _entry("peg_insertion:PegInsertion", "PegScript", "PEG_INSERTION"),
+    "DualUR10/TrayBalance-v0": _entry("tray_balance:TrayBalance", "TrayScript", "TRAY_BALANCE"),
+    "DualUR10/BoxLift-v0": TaskEntry(
+        task="dual_ur10.tasks.box_lift:BoxLift", scripted={"": "dual_ur10.tasks.box_lift:BoxScript"}
+    ),
+    "DualUR10/LidAndPlace-v0": _entry("lid_and_place:LidAndPlace", "LidScript", "LID_AND_PLACE"),
 }
 """Tasks by id; `dual_ur10.registration.register` adds to them."""
 

@@ -373,7 +373,7 @@ def test_objects_say_what_they_are():
     assert repr(scripted) == "SineTrackingPolicy(amplitude_m=0.05, joint_delta at 25 Hz)"
     assert [repr(zero), repr(as_policy(len))] == ["ZeroPolicy((12,))", "FunctionPolicy(len)"]
     follower = policies.load("scripted", "DualUR10/Handover-v0", action_mode="tcp_delta")
-    assert repr(follower) == "HandoverFollower(tcp_delta at 25 Hz)"
+    assert repr(follower) == "GoalFollower(Handover, tcp_delta at 25 Hz)"
     with contextlib.closing(parallel_env("Handover")) as pair:
         assert repr(pair) == "DualArmParallelEnv(DualUR10/Handover-v0, Handover(), joint_delta at 25 Hz, mujoco cell)"
 

@@ -12,7 +12,7 @@ from tests import scripts
 from tests.two_arm_tasks import FOLDER, install
 
 MODULES = {path: 150 for path in sorted((FOLDER / "two_arm_tasks").glob("*_*.py")) if path.stem != "__init__"}
-MODULES |= {path: 200 for path in sorted(Path(tasks.__file__).parent.glob("*_*.py")) if path.stem != "__init__"}
+MODULES |= {path: 215 for path in sorted(Path(tasks.__file__).parent.glob("*_*.py")) if path.stem != "__init__"}
 """Files with one task each, and their largest numbers of lines of code."""
 
 

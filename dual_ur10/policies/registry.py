@@ -37,7 +37,17 @@ NAMES: Final = ("scripted", *LEARNED_NAMES)
 """Names that `load` accepts. Not every environment has a policy of every name."""
 
 
-_ARGUMENTS: Final = ("timing", "action_mode", "action_scale", "mounts", "limits", "settings", "tools", "grippers")
+_ARGUMENTS: Final = (
+    "task",
+    "timing",
+    "action_mode",
+    "action_scale",
+    "mounts",
+    "limits",
+    "settings",
+    "tools",
+    "grippers",
+)
 """Arguments of a scripted policy, by which it knows the environment; see `ScriptedPolicy`."""
 
 OTHERS: Final = "the path of a checkpoint, module:Class or remote:ws://HOST:PORT"
@@ -292,6 +302,7 @@ def _arguments(env_id: str, keywords: Mapping[str, Any], names: Collection[str])
 def arguments_of(setup: EnvSetup, names: Collection[str]) -> dict[str, Any]:
     """Return those arguments of a policy, out of `_ARGUMENTS`, that are named, for an environment."""
     values = {
+        "task": setup.task_type,
         "timing": setup.timing,
         "action_mode": setup.options.action_mode,
         "action_scale": setup.options.action_scale,

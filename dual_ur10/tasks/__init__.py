@@ -12,8 +12,18 @@ a file, with its props and its script.
 from dual_ur10.assets.prop import HeldCapsule, Prop
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, home_q_rad
 from dual_ur10.envs.core.configuration import ConfigurationReport, PairClearance, check_configuration
-from dual_ur10.envs.tasks.geometry import PICKING, FrameDistances, Goal, GoalSteps, Number, numbers, ratio
-from dual_ur10.envs.tasks.grasping import GraspingTask, Grip
+from dual_ur10.envs.tasks.geometry import (
+    PICKING,
+    FrameDistances,
+    Goal,
+    GoalSteps,
+    Number,
+    frame_of,
+    numbers,
+    ratio,
+    toward,
+)
+from dual_ur10.envs.tasks.grasping import GraspingTask, Grip, Lead
 from dual_ur10.envs.tasks.grasps import Grasped, Grasps
 from dual_ur10.envs.tasks.observation_layout import (
     ARM_FIELDS,
@@ -39,7 +49,7 @@ from dual_ur10.sim2real.cell.cell import CellState, Start
 from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.control.limits import MotionLimits
 from ur_core.kinematics.frames import Frames
-from ur_core.kinematics.poses import Poses, compose, pose, relative_to, rotation_angle, yaw_quat
+from ur_core.kinematics.poses import Poses, compose, pose, relative_to, rotation_angle, yaw_of, yaw_quat
 from ur_core.kinematics.rotations import quat_conjugate, quat_from_rotvec, quat_multiply, rotate
 from ur_core.mjcf.camera import Camera
 from ur_core.mjcf.gains import COMPLIANT, STIFF, Gains
@@ -72,6 +82,7 @@ __all__ = [
     "Grip",
     "HeldCapsule",
     "Imitation",
+    "Lead",
     "Mask",
     "MotionLimits",
     "Motions",
@@ -102,6 +113,7 @@ __all__ = [
     "check_reach",
     "compose",
     "corners",
+    "frame_of",
     "gaussian",
     "gripper_field",
     "home_q_rad",
@@ -123,8 +135,10 @@ __all__ = [
     "rotation_angle",
     "stage",
     "term",
+    "toward",
     "wrench_fields",
     "wrench_values",
+    "yaw_of",
     "yaw_quat",
 ]
 

@@ -213,6 +213,27 @@ class LidAndPlace(ur.GraspingTask[LidSettings, LidFacts]):
         self.before_m = height_m
         return LidFacts(self.grasping(measured), measured.holding, lid_rad, off_m, inside, lost)
 
+    def lead(self, state: ur.CellState, measured: ur.Grasped) -> ur.Lead:
+        """Return the goals: the lid open, the block above the case, in it, the tool away, and the lid closed."""
+        case, block, lid_rad = state.objects["case"], state.objects["block"], state.joints["lid"]
+        inside = ur.compose(case, ur.pose((ASIDE_M, 0.0, FLOOR_M + BLOCK_HIGH_M / 2 + DROP_M)))
+        aside_m, height_m = np.hypot(*(inside.position_m - block.position_m)[:, :2].T), block.position_m[:, 2]
+        opened, left, away = self.passed > 1, self.passed > 2, measured.tools[:, 1, 2] > CARRY_M
+        down = opened & (aside_m < 0.015)
+        over = (down | opened & (height_m > 0.75 * CARRY_M))[:, None]
+        placed = down & (height_m < inside.position_m[:, 2] + 0.004)
+        lowered_m = np.where(placed, height_m, inside.position_m[:, 2])
+        z_m = np.where(down & ~left, lowered_m, CARRY_M + BLOCK_HIGH_M / 2)
+        xy_m = np.where(over, inside.position_m[:, :2], block.position_m[:, :2])
+        to = ur.Poses(np.column_stack([xy_m, z_m]), np.where(over, inside.quat, block.quat))
+        led = ur.toward(block, to, AHEAD_M, AHEAD_RAD)
+        to_rad = np.where(left & away, CLOSED_RAD, OPENED_RAD)
+        angle_rad = lid_rad + (to_rad - lid_rad).clip(-CLOSING_RAD, OPENING_RAD)
+        turned = ur.quat_from_rotvec(angle_rad[:, None] * [0.0, -1.0, 0.0])
+        lid = ur.compose(case, ur.Poses(np.broadcast_to(HINGE_M, (self.n, 3)), turned))
+        closed = np.stack([~(left & (lid_rad < 0.6 * SHUT_RAD)), ~(placed | left)], axis=1)
+        return ur.Lead(self.bringing(measured, ur.pair(lid, led)), closed)
+
     @ur.stage(weight=0.1)
     def grasp(self, now: LidFacts) -> tuple[ur.Number, ur.Progress]:
         """Hold the tab of the lid and the block."""
@@ -255,6 +276,7 @@ class LidAndPlace(ur.GraspingTask[LidSettings, LidFacts]):
         return self.shown
 
 
+AHEAD_M, AHEAD_RAD, OPENING_RAD, CLOSING_RAD = 0.02, 0.06, 0.06, 0.03  # longest steps that the goals show
 OVER_M, CARRY_M = 0.1, 0.2  # heights of tools above their grips, and of the carried block
 OPENED_RAD, CLOSED_RAD, ASIDE_M, DROP_M = 1.6, 0.01, 0.03, 0.003  # ends of the lid; of the block in the case
 OPEN_S, OVER_S, DOWN_S, CLOSE_S, RELEASE = 5.0, 3.5, 3.0, 6.0, 0.3  # times; opening of the right gripper in the case

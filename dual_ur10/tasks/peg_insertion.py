@@ -186,6 +186,7 @@ class PegInsertion(ur.GraspingTask[PegSettings, PegFacts]):
 
     def __init__(self, settings: PegSettings, cell: ur.CellConfig, timing: ur.Timing, n: int) -> None:
         super().__init__(settings, cell, timing, n)
+        self.searched_s = np.zeros(n)
         held = [grip.tool for grip in self.grips]
         ranges = settings.object_range_m, settings.object_turn_rad
         lying = (ur.corners((0.0, PLACES_M[name], STAND_M[name]), *ranges) for name in self.observed)
@@ -210,6 +211,7 @@ class PegInsertion(ur.GraspingTask[PegSettings, PegFacts]):
         for k, name in enumerate(self.observed):
             place = shift[:, k] * [1.0, 1.0, 0.0] + np.array([0.0, PLACES_M[name], STAND_M[name]])
             objects[name] = np.concatenate([place, ur.yaw_quat(shift[:, k, 2])], axis=1)
+        self.searched_s[rows] = 0.0
         return self.start_at_home(rows, objects)
 
     def facts(self, state: ur.CellState, measured: ur.Grasped) -> PegFacts:
@@ -222,6 +224,26 @@ class PegInsertion(ur.GraspingTask[PegSettings, PegFacts]):
         self.shown = {"force_n": force_n, "aside_m": aside_m, "depth_m": depth_m}
         through = (ur.rotate(quat, [0.0, 0.0, 1.0])[:, 2] > 0.9) & (depth_m < PEG_M - PLATE_M)
         return PegFacts(self.grasping(measured), measured.holding, heights_m / 0.1, aside_m, depth_m, through)
+
+    def lead(self, state: ur.CellState, measured: ur.Grasped) -> ur.Lead:
+        """Return the goals: both up, the plate to the meeting and the peg above it, and the peg along the hole."""
+        peg, plate = (state.objects[name] for name in self.observed)
+        up = [ur.Poses(np.where([True, True, False], each.position_m, LIFT_M), each.quat) for each in (peg, plate)]
+        meeting = ur.Poses(*(np.broadcast_to(part, (self.n, len(part))) for part in MEETING))
+        met = np.linalg.norm(plate.position_m - MEETING.position_m, axis=1) < 0.01
+        at_m = ur.relative_to(plate, peg).position_m - [0.0, 0.0, (PLATE_M + PEG_M) / 2]
+        aside_m = np.linalg.norm(at_m[:, :2], axis=1)
+        entered = at_m[:, 2] < -2.0 * ENTERED_M
+        self.searched_s += self.elapsed_s * ((self.passed > 2) & (at_m[:, 2] < ENTERED_M) & ~entered)
+        inside = met & (self.passed > 2) & ((aside_m < ASIDE_M) | (self.searched_s > 0.0))
+        pushed_m = np.maximum(at_m[:, 2] - PUSH_M, -DEPTH_M - 0.01)
+        height_m = np.select([inside, met & (aside_m < 0.02)], [pushed_m, START_M], 0.1) + (PLATE_M + PEG_M) / 2
+        x_m, y_m = np.where(entered, at_m[:, :2].T, spiral_m(self.searched_s))
+        over = ur.compose(plate, ur.Poses(np.stack([x_m, y_m, height_m], axis=1), ur.yaw_quat(np.zeros(self.n))))
+        lifted, both = self.passed[:, None] > 1, ((over, up[0]), (meeting, up[1]))
+        goals = [ur.Poses(*(np.where(lifted, *parts) for parts in zip(*pair, strict=True))) for pair in both]
+        led = ur.toward(ur.pair(peg, plate), ur.pair(*goals), AHEAD_M, AHEAD_RAD)
+        return ur.Lead(self.bringing(measured, led), np.ones((self.n, 2), dtype=bool))
 
     @ur.stage(weight=0.2)
     def grasp(self, now: PegFacts) -> tuple[ur.Number, ur.Progress]:
@@ -260,12 +282,21 @@ class PegInsertion(ur.GraspingTask[PegSettings, PegFacts]):
         return self.shown
 
 
+LIFT_M, ASIDE_M = 0.2, 0.0015  # height of lifted objects; of the tip from the axis, from which it is lowered
+AHEAD_M, PUSH_M, AHEAD_RAD = 0.02, 0.004, 0.06  # longest steps of objects that the goals show
 START_M, INSERT_M_S = 0.008, 0.015  # height of the tip above the plate before the insertion, and its speed
 SEARCH_N, ENTERED_M = 5.0, 0.004  # force at which the tip is beside the hole; depth below there at which it is in it
 SEARCH_RAD_S, SEARCH_M, SEARCH_S = 1.5, 0.008, 12.0  # of the spiral on which it searches the hole, and back
 CAUGHT_N = 6.0  # force from the side of a tip at the edge of the hole, at which the search waits
 YIELD_M_S_N, NOISE_N = 1e-3, 2.0  # speed for the error of a force, and errors that do not count
 PUSHING_N = np.array([[0.0, 0.0, -SEARCH_N], [0.0, 0.0, 0.0]])
+
+
+def spiral_m(searched_s: ur.Number | float) -> ur.Array:
+    """Return the place on the spiral after times of search, (2, …)."""
+    radius_m = SEARCH_M * np.sin(0.5 * np.pi * np.asarray(searched_s) / SEARCH_S)
+    turned_rad = SEARCH_RAD_S * np.asarray(searched_s)
+    return np.array([radius_m * np.cos(turned_rad), radius_m * np.sin(turned_rad)])
 
 
 class PegScript(ur.Script):
@@ -297,9 +328,7 @@ class PegScript(ur.Script):
                 down_m = min(down_m + INSERT_M_S * period_s, START_M + DEPTH_M + 0.02)
             elif np.hypot(*yielding.force_n[0, :2]) < CAUGHT_N:
                 searched_s += period_s
-            angle, radius_m = SEARCH_RAD_S * searched_s, SEARCH_M * np.sin(0.5 * np.pi * searched_s / SEARCH_S)
-            aside_m = radius_m * np.array([np.cos(angle), np.sin(angle)])
-            moved_m = np.array([[*aside_m, -down_m], [0.0, 0.0, 0.0]])
+            moved_m = np.array([[*spiral_m(searched_s), -down_m], [0.0, 0.0, 0.0]])
             free = np.array([[1.0, 1.0, not entered], [0.0, 0.0, 0.0]])
             yield from yielding.step(ur.Poses(tools.position_m + moved_m, tools.quat), free, PUSHING_N)
 

@@ -12,6 +12,7 @@ import dual_ur10.tasks as ur
 
 HANDLE_M, LYING_M = 0.04, 0.02  # width of the handles; height of the tray on the table
 INSIDE_M = 0.14  # from the middle of the tray to its rim along x
+LIFTED_M = LYING_M + 0.05  # height of a tray that is lifted
 GOAL_M = 0.15  # height of the middle of all goals above that
 LOADS_KG, BORNE_N = (0.6, 0.6), 1.5  # half of the tray for each arm; the least that each bears, an eighth
 DOWN = (0.0, 1.0, -1.0, 0.0)  # orientation of a tool that grips a handle from above
@@ -209,7 +210,7 @@ class TrayBalance(ur.GraspingTask[TraySettings, TrayFacts]):
 
     def __init__(self, settings: TraySettings, cell: ur.CellConfig, timing: ur.Timing, n: int) -> None:
         super().__init__(settings, cell, timing, n)
-        self.at_m, self.speed_m_s = np.zeros((n, 3)), np.zeros((n, 3))
+        self.at_m, self.speed_m_s, self.level_rad = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3))
         left, right = (grip.tool for grip in self.grips)
         places = {}
         for name, height_m, reach_m, turn_rad in (
@@ -238,7 +239,7 @@ class TrayBalance(ur.GraspingTask[TraySettings, TrayFacts]):
         yaws = np.concatenate([0.0 * column, 0.0 * column, unit[:, 7:] * settings.target_turn_rad], axis=1).T
         places = zip((tray, ball, goal), yaws, strict=True)
         poses = [np.concatenate([at, ur.yaw_quat(yaw)], axis=1) for at, yaw in places]
-        self.at_m[rows], self.speed_m_s[rows] = (ball - tray)[:, :3], 0.0
+        self.speed_m_s[rows], self.level_rad[rows] = 0.0, 0.0
         return self.start_at_home(rows, dict(zip(self.observed, poses, strict=True)))
 
     def facts(self, state: ur.CellState, measured: ur.Grasped) -> TrayFacts:
@@ -251,14 +252,33 @@ class TrayBalance(ur.GraspingTask[TraySettings, TrayFacts]):
         force_n = np.linalg.norm(self.forces_n(state), axis=2)
         self.shown = {"force_n": force_n, "ball_m": ball_m, "tray_m": goal_m, "tray_rad": goal_rad}
         height_m, grasping = tray.position_m[:, 2] - LYING_M, self.grasping(measured)
-        before_m, self.at_m = self.at_m, ball.position_m - tray.position_m
-        self.speed_m_s += SMOOTH * ((self.at_m - before_m) / self.timing.period_s - self.speed_m_s)
         shared = np.all(self.forces_n(state)[..., 2] < -BORNE_N, axis=1)
         return TrayFacts(grasping, measured.holding, height_m, goal_m, goal_rad, ball_m, shared, fell)
 
     def further_values(self, state: ur.CellState, measured: ur.Grasped) -> Mapping[str, ur.Array]:
         """Return the velocity of the ball in both bases."""
+        at_m, elapsed_s = state.objects["ball"].position_m - state.objects["tray"].position_m, self.elapsed_s[:, None]
+        lifted_s = elapsed_s * (state.objects["tray"].position_m[:, 2:] > LIFTED_M)
+        moved_m_s = (at_m - self.at_m) / np.maximum(elapsed_s, 1e-6)
+        self.speed_m_s += SMOOTH * (elapsed_s > 0.0) * (moved_m_s - self.speed_m_s)
+        self.level_rad = (self.level_rad + LEVEL_RAD_M_S * lifted_s * at_m).clip(-TILT_RAD, TILT_RAD)
+        self.at_m = at_m
         return {BALL_SPEED.name: self.frames.vector_to_base(self.speed_m_s[:, None].clip(-2.0, 2.0))}
+
+    def lead(self, state: ur.CellState, measured: ur.Grasped) -> ur.Lead:
+        """Return the goals: the tray above where it lay, tilted until the ball is in its middle, then its goal."""
+        (tray, _, goal), ball_m = (state.objects[name] for name in self.observed), self.at_m
+        lifted = tray.position_m[:, 2:] > LIFTED_M
+        tilt_rad = lifted * (POSITION_GAIN * ball_m + SPEED_GAIN * self.speed_m_s + self.level_rad)
+        x, y, _ = tilt_rad.clip(-TILT_RAD, TILT_RAD).T
+        still = np.hypot(*ball_m[:, :2].T) + np.hypot(*self.speed_m_s[:, :2].T) < 0.03
+        above_m = np.where([True, True, False], tray.position_m, LYING_M + GOAL_M)
+        carried = lifted & still[:, None]
+        to = ur.Poses(np.where(carried, goal.position_m, above_m), np.where(carried, goal.quat, ur.yaw_of(tray.quat)))
+        at_m, quat = ur.toward(ur.Poses(tray.position_m, ur.yaw_of(tray.quat)), to, AHEAD_M, AHEAD_RAD)
+        tilt = ur.quat_from_rotvec(np.stack([y, -x, np.zeros(self.n)], axis=1))
+        both = ur.pair(*[ur.Poses(at_m, ur.quat_multiply(tilt, quat))] * 2)
+        return ur.Lead(self.bringing(measured, both), np.ones((self.n, 2), dtype=bool))
 
     @ur.stage(weight=0.2)
     def grasp(self, now: TrayFacts) -> tuple[ur.Number, ur.Progress]:
@@ -298,6 +318,8 @@ class TrayBalance(ur.GraspingTask[TraySettings, TrayFacts]):
         return self.shown
 
 
+LEVEL_RAD_M_S = 0.15  # by which the tilt that keeps the ball where it is grows with its distance from the middle
+AHEAD_M, AHEAD_RAD = 0.012, 0.03  # longest step of the tray that the goals of the tools show
 LIFT_S, CENTER_S, CARRY_S = 2.0, 1.5, 4.0  # times of the script
 POSITION_GAIN, SPEED_GAIN, TILT_RAD = 0.32, 0.34, 0.05  # of the tilt: rad/m, rad/(m/s), and its limit
 

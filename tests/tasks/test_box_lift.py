@@ -2,19 +2,12 @@
 
 import gymnasium as gym
 import pytest
-from gymnasium.utils.env_checker import check_env
 
 from benchmarks.cheats import BOX, tried
 from dual_ur10.errors import SettingsError
 from dual_ur10.policies import evaluate
 
 ID = "DualUR10/BoxLift-v0"
-
-
-@pytest.mark.parametrize(("action_mode", "observation"), [("joint_delta", "state"), ("tcp_delta", "goals")])
-def test_gymnasium(action_mode, observation):
-    with gym.make(ID, duration_s=0.2, action_mode=action_mode, observation=observation) as env:
-        check_env(env.unwrapped, skip_render_check=True)
 
 
 @pytest.mark.parametrize("randomization", ["none", "mild"])

@@ -21,7 +21,14 @@ from ur_core.kernel import RowLoop, Struct
 from ur_core.kinematics.forward import links
 from ur_core.kinematics.frames import ArmMount, Frames
 from ur_core.kinematics.poses import Poses, yaw_quat
-from ur_core.kinematics.rotations import quat_to_matrix, rotate
+from ur_core.kinematics.rotations import (
+    quat_conjugate,
+    quat_from_rotvec,
+    quat_multiply,
+    quat_to_matrix,
+    quat_to_rotvec,
+    rotate,
+)
 from ur_core.tools.tool import levers_m
 from ur_core.types import Array
 
@@ -252,6 +259,24 @@ def frame_of(pose: Poses) -> Array:
     """Return the frames, (..., 12), of poses."""
     matrix = quat_to_matrix(pose.quat)
     return np.concatenate([pose.position_m, matrix.reshape(*matrix.shape[:-2], 9)], axis=-1)
+
+
+def toward(begin: Poses, end: Poses, most_m: float, most_rad: float) -> Poses:
+    """Return poses on the way from some to others, (..., 3) and (..., 4), at most these steps from the first ones.
+
+    Args:
+        begin: Poses.
+        end: Other poses.
+        most_m: Longest translation.
+        most_rad: Largest rotation.
+    """
+    path_m = end.position_m - begin.position_m
+    turn = quat_to_rotvec(quat_multiply(end.quat, quat_conjugate(begin.quat)))
+    step_m, step_rad = (
+        part * np.minimum(1.0, most / np.maximum(length(part), 1e-12))[..., None]
+        for part, most in ((path_m, most_m), (turn, most_rad))
+    )
+    return Poses(begin.position_m + step_m, quat_multiply(quat_from_rotvec(step_rad), begin.quat))
 
 
 class FrameDistances:

@@ -12,7 +12,7 @@ import numpy as np
 
 from dual_ur10.assets.prop_part import PropPart
 from dual_ur10.envs.tasks.description import described
-from dual_ur10.envs.tasks.geometry import KEEP, Goal, GoalSteps, required
+from dual_ur10.envs.tasks.geometry import KEEP, Goal, GoalSteps, frame_of, required
 from dual_ur10.envs.tasks.goal_fields import GOAL_FIELDS, goal_values, gripper_values
 from dual_ur10.envs.tasks.grasps import Grasped, Grasps
 from dual_ur10.envs.tasks.observation_layout import (
@@ -34,7 +34,10 @@ from dual_ur10.sim2real.cell.cell_config import CellConfig
 from ur_core.kinematics.frames import Frames
 from ur_core.kinematics.poses import Poses
 from ur_core.tools.tool import strokes_m
-from ur_core.types import Array, Rows
+from ur_core.types import Array, Mask, Rows
+
+SLOW = 0.04
+"""Step of the opening, of the largest, that the goals of slow fingers show."""
 
 
 class Grip(NamedTuple):
@@ -54,6 +57,19 @@ class Grip(NamedTuple):
     body: str = ""
 
 
+class Lead(NamedTuple):
+    """Goals of both arms beyond their grips.
+
+    Attributes:
+        tools: (n, 2, 12) frames of the tools, as `dual_ur10.envs.tasks.geometry.frame_of` returns them, in that of the
+            cell; `GraspingTask.bringing` makes them of poses of the objects.
+        closed: (n, 2) True for a gripper that is to be closed.
+    """
+
+    tools: Array
+    closed: Mask
+
+
 class GraspingTask(StagedTask[SettingsT, Grasped, NowT], Generic[SettingsT, NowT]):
     """Staged task in which each arm grips a prop, both the same one or each its own.
 
@@ -70,6 +86,8 @@ class GraspingTask(StagedTask[SettingsT, Grasped, NowT], Generic[SettingsT, NowT
         observed: Names of the props in the observation, those of grips without a `body` among them.
         further: Further fields of an observation, with the values of `further_values`.
         frames: Frames of the cell and of both bases.
+        elapsed_s: (n,) time from the last observation of a row to this one, for `lead` and `further_values`; 0 in the
+            first of an episode, and where the same state is observed again.
 
     Raises:
         SettingsError: The prop of a grip is not observed, or not in the scene.
@@ -115,13 +133,16 @@ class GraspingTask(StagedTask[SettingsT, Grasped, NowT], Generic[SettingsT, NowT
             tools,
         )
         self._strokes_m = np.array(strokes_m(tools))[:, None]
+        self.elapsed_s, self._observed_s = np.zeros(n), np.zeros(n)
+        self._held, self._fists = [first, second], np.array([grip.width_m == 0.0 for grip in self.grips])
         goals = [
             Goal(frame, grip.tool, approached=True) for frame, grip in zip((first, second), self.grips, strict=True)
         ]
         self._nearness = GoalSteps(n, frames, goals)
         self._to_grips: GoalSteps | None = None
         if any(field in self.layout.fields for field in GOAL_FIELDS):
-            self._to_grips = GoalSteps(n, frames, goals, mounts, tcp_m=[tool.tcp_m for tool in tools])
+            goals += [Goal(frames + arm) for arm in range(2)]
+            self._to_grips = GoalSteps(n, frames + 2, goals, mounts, tcp_m=[tool.tcp_m for tool in tools])
 
     def start_at_home(self, rows: Rows, objects: Mapping[str, Array]) -> Start:
         """Begin episodes in `rows` with both arms at home and open grippers, and return their starts.
@@ -131,6 +152,7 @@ class GraspingTask(StagedTask[SettingsT, Grasped, NowT], Generic[SettingsT, NowT
             objects: Poses of props, as in `Start`.
         """
         self.begin_rows(rows)
+        self._observed_s[rows] = 0.0
         return self.at_home(rows)._replace(objects=objects)
 
     def measure(self, state: CellState) -> Grasped:
@@ -143,13 +165,16 @@ class GraspingTask(StagedTask[SettingsT, Grasped, NowT], Generic[SettingsT, NowT
 
     def observe(self, state: CellState, measured: Grasped, commanded_q_rad: Array) -> Array:
         """Assemble the observations in the order of the layout."""
+        self.elapsed_s = np.maximum(state.time_s - self._observed_s, 0.0)
+        self._observed_s = np.array(state.time_s)
         values = {**arm_values(state, commanded_q_rad), **wrench_values(required(state.wrench))}
         values["gripper_m"] = required(state.gripper_m)[..., None]
         for k, name in enumerate(self.observed):
             values |= pose_values(f"{name}_base", measured.in_bases[:, :, k])
+        values |= self.further_values(state, measured)
         if self._to_grips is not None:
-            values |= self._goal_values(self._to_grips, measured, commanded_q_rad, values["gripper_m"])
-        values.update(self.further_values(state, measured))
+            lead = self.lead(state, measured)
+            values |= self._goal_values(self._to_grips, measured, commanded_q_rad, values["gripper_m"], lead)
         return self.layout.join(values)
 
     def grasping(self, measured: Grasped) -> Array:
@@ -172,16 +197,46 @@ class GraspingTask(StagedTask[SettingsT, Grasped, NowT], Generic[SettingsT, NowT
         """Return the values of the `further` fields, (n, 2, size) each."""
         return {}
 
+    def lead(self, state: CellState, measured: Grasped) -> Lead | None:
+        """Return the goals of both arms once the first stage is passed; None: these are the grips still.
+
+        They are what the fields that lead a tool show, with the same poses as the observation has. It is called after
+        `further_values`.
+        """
+        return None
+
+    def bringing(self, measured: Grasped, objects: Poses) -> Array:
+        """Return the frames of the tools, (n, 2, 12), that bring what they hold to poses, held as it is now.
+
+        Args:
+            measured: Both grasps.
+            objects: Poses of each arm's object, or of its part, (n, 2, 3) and (n, 2, 4) in the cell frame.
+        """
+        tools, found, goals = measured.tools, measured.frames[:, self._held], frame_of(objects)
+        (tool, begin, end) = (each[..., 3:].reshape(self.n, 2, 3, 3) for each in (tools, found, goals))
+        turn = end @ begin.swapaxes(-1, -2)
+        away_m = (turn @ (tools - found)[..., :3, None])[..., 0]
+        return np.concatenate([goals[..., :3] + away_m, (turn @ tool).reshape(self.n, 2, 9)], axis=-1)
+
     def _goal_values(
-        self, steps: GoalSteps, measured: Grasped, commanded_q_rad: Array, gripper_m: Array
+        self, steps: GoalSteps, measured: Grasped, commanded_q_rad: Array, gripper_m: Array, lead: Lead | None
     ) -> dict[str, Array]:
-        """Return the values of the fields that lead the commanded tools to their grips."""
+        """Return the values of the fields that lead the commanded tools to their goals."""
         steps.actual[...] = measured.tools
-        found = steps(commanded_q_rad, measured.frames)
+        grips = np.ones((self.n, 2), dtype=bool) if lead is None else np.repeat(self.passed[:, None] == 0, 2, axis=1)
+        goals = measured.tools if lead is None else lead.tools
+        numbers = np.where(grips, [0, 1], [2, 3]).T
+        found = steps(commanded_q_rad, np.concatenate([measured.frames, goals], axis=1), [*numbers])
         # Fingers close where the tool has arrived; those that have begun to go on at a larger error.
         within = np.where(measured.between & (measured.cleared < 1.0), KEEP, 1.0)
-        closes = gripper_values(measured.between, found.away < within, gripper_m, self._strokes_m)
-        return {**goal_values(found, steps.nearby), **closes}
+        closes = np.where(grips, measured.between & (found.away < within), False if lead is None else lead.closed)
+        values = gripper_values(measured.between, closes | self._fists, gripper_m, self._strokes_m)
+        # Fingers touch an object slowly, and leave it slowly: at full speed one of them strikes it.
+        opened = values["opening"][..., 0]
+        slowly = measured.between & ~self._fists & np.where(closes, ~measured.holding, measured.cleared < 1.0)
+        ahead = (opened + np.where(closes, -SLOW, SLOW)).clip(0.0, 1.0)
+        values["goal_opening"] = np.where(slowly, ahead, ~(closes | self._fists))[..., None]
+        return {**goal_values(found, steps.nearby), **values}
 
 
 def _part_of(grip: Grip, cell: CellConfig) -> PropPart:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Final
+from typing import Any, Final
 
 import numpy as np
 
-from dual_ur10.envs.tasks.handover.task import Handover
-from dual_ur10.envs.tasks.sync_carry.task import SyncCarry
-from dual_ur10.envs.tasks.task import Timing
+from dual_ur10.envs.tasks.task import Task, Timing
 from dual_ur10.errors import UnknownNameError
 from dual_ur10.sim2real.control.adapter import TCP_ROTATION_RAD_S, TCP_STEP_M_S, ActionScale, scale_of_steps
 from ur_core.types import Array, changed
@@ -23,6 +21,7 @@ class GoalFollower:
     all that there is to learn.
 
     Args:
+        task: Class of the task, whose observations have `dual_ur10.envs.tasks.goal_fields.GOAL_FIELDS`.
         timing: Rate of actions.
         action_mode: "tcp_delta".
         settings: Settings of the task; None: the default ones.
@@ -32,10 +31,9 @@ class GoalFollower:
         UnknownNameError: Another action mode.
     """
 
-    task: ClassVar[type[Handover | SyncCarry]]
-
     def __init__(
         self,
+        task: type[Task[Any, Any]],
         timing: Timing,
         action_mode: str = "tcp_delta",
         settings: Any = None,
@@ -43,14 +41,14 @@ class GoalFollower:
     ) -> None:
         if action_mode != "tcp_delta":
             raise UnknownNameError("action mode of the goal follower", action_mode, ["tcp_delta"])
-        given: Any = self.task.settings_type() if settings is None else settings
-        self._settings, self._rate_hz = given, 1.0 / timing.period_s
-        self._layout = self.task.layout_for(given)
+        given: Any = task.settings_type() if settings is None else settings
+        self._task, self._settings, self._rate_hz = task, given, 1.0 / timing.period_s
+        self._layout = task.layout_for(given)
         most = np.repeat([TCP_STEP_M_S, TCP_ROTATION_RAD_S], 3) * timing.period_s
         self._most = most * scale_of_steps(action_mode, action_scale)
 
     def __repr__(self) -> str:
-        texts = changed(self._settings), f"tcp_delta at {self._rate_hz:g} Hz"
+        texts = self._task.__name__, changed(self._settings), f"tcp_delta at {self._rate_hz:g} Hz"
         return f"{type(self).__name__}({', '.join(filter(None, texts))})"
 
     def reset(self) -> None:
@@ -62,21 +60,9 @@ class GoalFollower:
         Raises:
             ActionError: Not an observation of the task.
         """
-        fields = self._layout.split(self._layout.batch(observation, self.task.__name__))
+        fields = self._layout.split(self._layout.batch(observation, self._task.__name__))
         step = np.concatenate([fields["goal_step_m"], fields["goal_rotation"]], axis=-1)
         action = np.clip(_RATIO * step / self._most, -1.0, 1.0)
         if "goal_opening" in fields:
             action = np.concatenate([action, 2.0 * fields["goal_opening"] - 1.0], axis=-1)
         return action.reshape(*np.shape(observation)[:-1], -1).astype(np.float32)
-
-
-class HandoverFollower(GoalFollower):
-    """Follower of the goals of Handover."""
-
-    task = Handover
-
-
-class SyncCarryFollower(GoalFollower):
-    """Follower of the goals of SyncCarry."""
-
-    task = SyncCarry

@@ -327,6 +327,42 @@ HANDOVER: Final = TaskSettings(
 )
 
 
+def _led(props: tuple[str, ...], *further: str) -> TaskSettings:
+    """Return the settings of a task whose goals lead through all stages; the network sees these goals alone.
+
+    With steps of the tools the scripted policy follows them. Labels of a script that runs by time, as with steps of the
+    joints, contradict each other along its path, and nothing was learned from them.
+    """
+    arm = (
+        "q_rad",
+        "qd_rad_s",
+        "flange_base_m",
+        "flange_base_quat",
+        "commanded_q_rad",
+        "gripper_m",
+        "force_n",
+        "torque_nm",
+    )
+    poses = [f"{name}_base_{unit}" for name in props for unit in ("m", "quat")]
+    return TaskSettings(
+        envs=96,
+        steps={"ppo": 1_500_000, "sac": 300_000, "bc": 96_000, "dagger": 144_000},
+        keywords={"action_mode": "tcp_delta"},
+        from_scratch={"action_mode": "tcp_delta", "randomization": "none", "action_latency_ticks": 0},
+        agents="shared",
+        ppo=dataclasses.replace(
+            _TO_GOALS, episode_steps=500, batch_size=4096, epochs=10, last_std=0.05, unseen=(*arm, *poses, *further)
+        ),
+        imitation=Imitation(fit_steps=4000, unseen=(*arm, *poses, *further)),
+        checks=96,
+    )
+
+
+PEG_INSERTION: Final = _led(("peg", "plate"))
+TRAY_BALANCE: Final = _led(("tray", "ball", "goal"), "ball_base_m_s")
+LID_AND_PLACE: Final = _led(("case", "block"), "lid_rad")
+
+
 def task_settings(env_id: str) -> TaskSettings:
     """Return the settings that a task brings, or general ones.
 

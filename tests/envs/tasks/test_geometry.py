@@ -8,13 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dual_ur10 import ArmMount
-from dual_ur10.envs.tasks.geometry import TOOL, FrameDistances, Goal, GoalSteps, frame_of
+from dual_ur10.envs.tasks.geometry import TOOL, FrameDistances, Goal, GoalSteps, frame_of, toward
 from dual_ur10.envs.tasks.grasps import Grasps
 from dual_ur10.errors import SettingsError
 from dual_ur10.sim2real.cell.cell import CellState
 from ur_core.kinematics import flange_pose_quat
 from ur_core.kinematics.frames import Frames
-from ur_core.kinematics.poses import Poses, compose, relative_to, rotation_angle
+from ur_core.kinematics.poses import Poses, compose, relative_to, rotation_angle, yaw_of, yaw_quat
 from ur_core.kinematics.rotations import quat_between, quat_from_rotvec, quat_multiply, quat_to_matrix
 from ur_core.tools.robotiq_2f85 import ROBOTIQ_2F85
 
@@ -170,3 +170,27 @@ def test_each_gripper_has_a_width_and_fingers_of_its_own():
 def test_indices_beyond_the_arrays_are_refused(make, text):
     with pytest.raises(SettingsError, match=text):
         make()
+
+
+VECTOR = st.tuples(*[st.floats(-1.0, 1.0)] * 3).map(np.array)
+
+
+@given(VECTOR, VECTOR, VECTOR, VECTOR, st.floats(0.001, 4.0), st.floats(0.001, 4.0))
+def test_steps_towards_poses_are_bounded_and_arrive(begin_m, turn, end_m, end_turn, most_m, most_rad):
+    begin, end = (
+        Poses(at_m[None], quat_from_rotvec(each[None])) for at_m, each in ((begin_m, turn), (end_m, end_turn))
+    )
+    step = toward(begin, end, most_m, most_rad)
+    whole_m = np.linalg.norm(end_m - begin_m)
+    whole_rad = rotation_angle(quat_between(begin.quat, end.quat))[0]
+    assert np.linalg.norm(step.position_m - begin.position_m) == pytest.approx(min(most_m, whole_m), abs=1e-9)
+    assert rotation_angle(quat_between(begin.quat, step.quat))[0] == pytest.approx(min(most_rad, whole_rad), abs=1e-6)
+    left_rad = rotation_angle(quat_between(step.quat, end.quat))[0]
+    assert left_rad == pytest.approx(max(whole_rad - most_rad, 0.0), abs=1e-6)
+    assert np.linalg.norm(end_m - step.position_m[0]) == pytest.approx(max(whole_m - most_m, 0.0), abs=1e-9)
+
+
+@given(st.floats(-3.1, 3.1), st.floats(-0.5, 0.5))
+def test_the_yaw_of_a_tilted_pose_is_that_before_its_tilt(yaw_rad, tilt_rad):
+    tilted = quat_multiply(yaw_quat(np.array(yaw_rad)), quat_from_rotvec(np.array([tilt_rad, 0.0, 0.0])))
+    assert rotation_angle(quat_between(yaw_of(tilted), yaw_quat(np.array(yaw_rad)))) == pytest.approx(0.0, abs=1e-7)

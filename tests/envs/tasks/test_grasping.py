@@ -8,7 +8,7 @@ import pytest
 from dual_ur10.assets.prop import Prop
 from dual_ur10.assets.settings import Equipment, home_q_rad
 from dual_ur10.envs.core.core import Core
-from dual_ur10.envs.tasks.geometry import APPROACH_M
+from dual_ur10.envs.tasks.geometry import APPROACH_M, frame_of
 from dual_ur10.envs.tasks.goal_fields import GOAL_FIELDS
 from dual_ur10.envs.tasks.grasping import GraspingTask, Grip
 from dual_ur10.envs.tasks.observation_layout import ARM_FIELDS, Field, ObservationLayout
@@ -196,3 +196,11 @@ def test_a_start_at_home_has_open_grippers_and_forgets_the_stages():
 def test_a_grip_of_a_prop_that_is_not_observed_is_refused():
     with pytest.raises(SettingsError, match="Stranger grips lid, but observes mark, cup"):
         made(Stranger)
+
+
+def test_tools_bring_what_they_hold_to_poses_without_another_grip():
+    task, objects = made(), {name: random_poses(N) for name in Two.observed}
+    tools, wanted = random_poses(N, 2), random_poses(N, 2)
+    led = task.bringing(task.measure(state_of(task, objects, tools, np.full((N, 2), 0.04))), wanted)
+    held = Poses(*(np.stack([objects[grip.prop][part] for grip in Two.grips], axis=1) for part in (0, 1)))
+    np.testing.assert_allclose(led, frame_of(compose(wanted, relative_to(held, tools))), atol=1e-12)

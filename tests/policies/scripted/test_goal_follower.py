@@ -8,9 +8,10 @@ import pytest
 
 from dual_ur10 import policies
 from dual_ur10.envs.core.core import Core
+from dual_ur10.envs.tasks.handover.task import Handover
 from dual_ur10.errors import ActionError, UnknownNameError
 from dual_ur10.policies.policy import Policy
-from dual_ur10.policies.scripted.goal_follower import GoalFollower, HandoverFollower
+from dual_ur10.policies.scripted.goal_follower import GoalFollower
 from tests.soak import SOAK, scaled
 
 CARRY, HANDOVER, MODE = "DualUR10/SyncCarry-v0", "DualUR10/Handover-v0", {"action_mode": "tcp_delta"}
@@ -70,4 +71,4 @@ def test_actions_have_the_shape_of_the_observations_and_no_memory():
 
 def test_another_action_mode_is_refused():
     with pytest.raises(UnknownNameError, match="joint_delta"):
-        HandoverFollower(Core("Handover", MODE).timing, "joint_delta")
+        GoalFollower(Handover, Core("Handover", MODE).timing, "joint_delta")

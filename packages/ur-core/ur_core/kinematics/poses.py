@@ -55,3 +55,9 @@ def yaw_quat(yaw_rad: Array) -> Array:
     quat = np.zeros((*np.shape(yaw_rad), 4))
     quat[..., 0], quat[..., 3] = np.cos(yaw_rad / 2), np.sin(yaw_rad / 2)
     return quat
+
+
+def yaw_of(quat: Array) -> Array:
+    """Return orientations (..., 4) without their tilt: their rotations about the vertical."""
+    level: Array = quat * [1.0, 0.0, 0.0, 1.0]
+    return level / length(level)[..., None]

@@ -116,7 +116,7 @@ def splice(count: int, seed: int) -> dict[str, int]:
             commanded = pipeline.adapter.commanded_q_rad
             observations = np.concatenate([np.zeros((ROWS, 2, 12)), commanded, np.zeros((ROWS, 2, 7))], axis=2)
             for executor in executors:
-                executor.observed_at(np.array([step * period_s]), real_time=False)
+                executor.observed_at(np.array([step * period_s]))
             actions = [each(one.reshape(-1)) for each, one in zip(executors, observations, strict=True)]
             command, verdicts = pipeline(np.array(actions))
             window = np.concatenate([window, command.targets_rad], axis=1)

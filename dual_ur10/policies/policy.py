@@ -112,12 +112,11 @@ class EpisodeAware(Protocol):
 class TimeAware(Protocol):
     """A policy that is given the time of each observation before the observation itself."""
 
-    def observed_at(self, time_s: Array, *, real_time: bool) -> None:
+    def observed_at(self, time_s: Array) -> None:
         """Take the time of the next observation.
 
         Args:
             time_s: (n,) time of each row since its episode began, in task time: a whole number of ticks.
-            real_time: The time of day is kept, so that an action is late if the policy waits for anything.
         """
 
 

@@ -65,7 +65,7 @@ def checked_chunk(chunk: object, dt_s: object, action_mode: object, size: int, n
         raise ChunkError(
             f"action_mode of {name} is {action_mode!r:.80}: chunks are of {' or '.join(map(repr, CHUNK_MODES))}"
         )
-    if isinstance(dt_s, bool) or not isinstance(dt_s, numbers.Real) or not 1e-3 <= dt_s <= 10.0:
+    if isinstance(dt_s, bool) or not isinstance(dt_s, numbers.Real) or not 1e-3 <= float(dt_s) <= 10.0:
         raise ChunkError(f"dt_s of {name} is {dt_s!r:.80}: it must be a time of 0.001 to 10 s between two actions")
     try:
         found = np.asarray(chunk)

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-import queue
-import threading
 import time
-import weakref
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -20,7 +16,9 @@ from dual_ur10.envs.tasks.observation_layout import ARM_FIELDS, ConciseView, Obs
 from dual_ur10.envs.tasks.task import Timing
 from dual_ur10.errors import ActionError, ChunkError, SettingsError
 from dual_ur10.policies.chunks.chunk_path import ChunkPath, SplicedPath, Splicer
-from dual_ur10.policies.chunks.chunk_policy import CHUNK_MODES, ChunkPolicy, checked_chunk
+from dual_ur10.policies.chunks.chunk_policy import CHUNK_MODES, ChunkPolicy
+from dual_ur10.policies.chunks.inference import Answer, ChildInference, Inference, Planner, ThreadInference, fill
+from dual_ur10.policies.policy import close_policy
 from dual_ur10.sim2real.control.limits import MotionLimits
 from ur_core.tools.tool import Tool, strokes_m
 from ur_core.types import Array, Rows
@@ -37,71 +35,6 @@ _SILENT_S: Final = 10.0
 _MOST_LATE: Final = 10  # chunks in a row that come too late
 
 Latency = float | Callable[[], float]
-
-
-@dataclass
-class _Answer:
-    """Chunk, or error, of a request. Whoever asks fills it, and sets `done` last.
-
-    Attributes:
-        time_s: Time of its observation.
-        commanded: (12,) joint positions commanded at that time.
-        ready_s: Time from which on the answer counts.
-        chunk: What the chunk policy returned.
-        dt_s: Its `dt_s` then.
-        mode: Its `action_mode` then.
-        error: What it raised.
-        done: The chunk policy has returned.
-    """
-
-    time_s: float
-    commanded: Array
-    ready_s: float = 0.0
-    chunk: object = None
-    dt_s: float = 0.0
-    mode: str = ""
-    error: Exception | None = None
-    done: bool = False
-
-
-class _Worker:
-    """Thread that asks a chunk policy, so that the control loop never waits for it."""
-
-    def __init__(self, source: ChunkPolicy) -> None:
-        self._tasks: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
-        thread = threading.Thread(target=self._work, args=(self._tasks,), name="chunks", daemon=True)
-        thread.start()
-        self._source, self.close = source, weakref.finalize(self, self._tasks.put, None)
-
-    @staticmethod
-    def _work(tasks: queue.SimpleQueue[Callable[[], None] | None]) -> None:
-        while (task := tasks.get()) is not None:
-            task()
-            del task  # or this thread would keep its worker from being collected
-
-    def ask(self, answer: _Answer, observation: Any) -> None:
-        """Ask for a chunk; the answer is done once it is filled."""
-        source = self._source
-        self._tasks.put(lambda: _fill(answer, source, observation))
-
-    def reset(self) -> None:
-        """Reset the chunk policy before anything that is asked from now on."""
-        source = self._source
-
-        def run() -> None:
-            with contextlib.suppress(Exception):  # the next chunk shows what is wrong
-                source.reset()
-
-        self._tasks.put(run)
-
-
-def _fill(answer: _Answer, source: ChunkPolicy, observation: Any) -> None:
-    try:
-        answer.chunk = source.chunk(observation, answer.time_s)
-        answer.dt_s, answer.mode = source.dt_s, source.action_mode
-    except Exception as error:
-        answer.error = error
-    answer.done = True
 
 
 @dataclass
@@ -127,7 +60,7 @@ class _ChunkedCell:
     commanded: Array = field(default_factory=lambda: np.zeros(12))
     sent: Array | None = None
     path: SplicedPath | None = None
-    pending: _Answer | None = None
+    pending: Answer | None = None
     stamp_s: float = -math.inf
     opening: Array | None = None
     rest: Array = field(default_factory=lambda: np.ones(2))
@@ -164,9 +97,11 @@ class ChunkExecutor:
         view: Concise view that is observed; None: all numbers of the task are.
         latency_s: Time from an observation to its chunk where no time of day is kept, in simulation and on virtual
             cells, or a function that returns it for each request; infinity: the chunk is lost. None: the measured time
-            of the call. Where the time of day is kept, a thread asks, and this does not apply.
+            of the call.
         replan_s: Time between two requests at least; None: half of a chunk, or less if chunks are late.
         silent_s: Time without an answer after which the chunk policy is given up.
+        real_time: The time of day is kept. A thread asks the chunk policy; or, if it has a true attribute `portable`, a
+            child process: it is pickled then, and closed here. `latency_s` does not apply.
 
     Attributes:
         source: As given.
@@ -192,6 +127,7 @@ class ChunkExecutor:
         latency_s: Latency | None = None,
         replan_s: float | None = None,
         silent_s: float = _SILENT_S,
+        real_time: bool = False,
     ) -> None:
         if not isinstance(source, ChunkPolicy) or isinstance(source, type):
             raise ChunkError(
@@ -214,7 +150,11 @@ class ChunkExecutor:
         self._period_s = timing.period_s
         self._settled_s = timing.ahead_s + 2 * timing.period_s  # from a path that rests to targets that do
         self._step_rad = self._splicer.speed_rad_s * timing.period_s
-        self._worker: _Worker | None = None
+        self._planner = Planner(self._splicer, grippers, self.__name__)
+        self._inference: Inference | None = None
+        if real_time:
+            kind = ChildInference if getattr(source, "portable", False) else ThreadInference
+            self._inference = kind(source, self._planner)
         self._offered: Array | None = None
         self._rows: list[_ChunkedCell] = []
         self._latencies: deque[float] = deque(maxlen=_KEPT)
@@ -224,31 +164,24 @@ class ChunkExecutor:
         return f"{type(self).__name__}({self.source!r})"
 
     def close(self) -> None:
-        """Let the thread end, and close the chunk policy if it can be closed. May be called twice."""
-        if self._worker is not None:
-            self._worker.close()
-        close = getattr(self.source, "close", None)
-        if callable(close):
-            close()
+        """Let the thread or process end, and close the chunk policy if it can be closed. May be called twice."""
+        if self._inference is not None:
+            self._inference.close()
+        close_policy(self.source)
 
     def reset(self) -> None:
         """Begin an episode: both arms stay where they are until the first chunk."""
         self._rows, self._offered = [], None
-        if self._worker is None:
-            self.source.reset()
-        else:
-            self._worker.reset()
+        (self.source if self._inference is None else self._inference).reset()
 
     def begin(self, rows: Rows, seeds: Sequence[int]) -> None:
         """Begin episodes in some rows of a batch; see `dual_ur10.policies.policy.EpisodeAware`."""
         for row in rows if self._rows else ():
             self._rows[row] = _ChunkedCell()
 
-    def observed_at(self, time_s: Array, *, real_time: bool) -> None:
+    def observed_at(self, time_s: Array) -> None:
         """Take the time of the next observation; see `dual_ur10.policies.policy.TimeAware`."""
         self._offered = np.asarray(time_s, dtype=np.float64).reshape(-1)
-        if real_time and self._worker is None:
-            self._worker = _Worker(self.source)
 
     def __call__(self, observation: Any) -> Array:
         """Return the float32 action for an observation, or one for each row of a batch of observations.
@@ -349,12 +282,12 @@ class ChunkExecutor:
     def _ask(self, row: _ChunkedCell, time_s: float, commanded: Array, observation: Any) -> None:
         """Ask for a chunk, in the thread where the time of day is kept."""
         row.asked_s = time_s
-        row.pending = answer = _Answer(time_s, commanded, ready_s=time_s)
-        if self._worker is not None:
-            self._worker.ask(answer, _copied(observation))
+        row.pending = answer = Answer(time_s, commanded, ready_s=time_s)
+        if self._inference is not None:
+            self._inference.ask(answer, _copied(observation))
             return
         began_s = time.perf_counter()
-        _fill(answer, self.source, _copied(observation))
+        fill(answer, self.source, _copied(observation), self._planner)
         latency_s = self.latency_s() if callable(self.latency_s) else self.latency_s
         answer.ready_s += time.perf_counter() - began_s if latency_s is None else latency_s
         if answer.ready_s == math.inf:
@@ -365,37 +298,24 @@ class ChunkExecutor:
         answer = row.pending
         if answer is None:
             return
+        if self._inference is not None:
+            self._inference.poll()
         if not answer.done and time_s - answer.time_s > self._silent_s:
             row.error = ChunkError(f"{self.__name__} has returned no chunk for {self._silent_s:g} s: is it running?")
         if not answer.done or time_s < answer.ready_s - _ROUNDING_S:
             return
         row.pending = None
         self._latencies.append(time_s - answer.time_s)
-        try:
-            if answer.error is not None:
-                raise answer.error
-            size = 7 if self._grippers else 6
-            actions = checked_chunk(answer.chunk, answer.dt_s, answer.mode, size, self.__name__)
-        except Exception as error:
-            row.error = error
+        if answer.plan is None:
+            row.error = answer.error
             return
-        path = self._path(answer, actions[..., :6].reshape(-1, 12))
+        path, dt_s, openings = answer.plan
         if path.end_s <= time_s + self._period_s + _ROUNDING_S:
             self._count_late(row, path, time_s - answer.time_s)
             return
-        self._splicer.end(path)
         row.path = self._splicer.splice(path, time_s, self._state(row, time_s, commanded))
-        row.stamp_s, row.dt_s, row.late = answer.time_s, answer.dt_s, 0
-        row.opening = actions[..., 6] if self._grippers else None
+        row.stamp_s, row.dt_s, row.opening, row.late = answer.time_s, dt_s, openings, 0
         self.splices += 1
-
-    def _path(self, answer: _Answer, actions: Array) -> ChunkPath:
-        """Return the path through the joint positions of a chunk."""
-        dt_s = answer.dt_s
-        if answer.mode == "joint_position":
-            return ChunkPath(answer.time_s + dt_s, dt_s, actions)
-        steps = np.clip(actions, -1.0, 1.0) * (self._splicer.speed_rad_s * dt_s)
-        return ChunkPath(answer.time_s, dt_s, answer.commanded + np.cumsum(np.vstack([np.zeros(12), steps]), axis=0))
 
     def _count_late(self, row: _ChunkedCell, path: ChunkPath, latency_s: float) -> None:
         """Count a chunk that came after all of its actions; many in a row are an error."""
@@ -430,6 +350,7 @@ def executor_for(source: ChunkPolicy, setup: EnvSetup, **options: Any) -> ChunkE
         grippers=setup.config.equipment.grippers and not setup.config.equipment.welded,
         layout=task.layout,
         view=task.concise_view() if setup.options.concise else None,
+        real_time=setup.keeps_time,
         **options,
     )
 

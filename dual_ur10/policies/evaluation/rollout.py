@@ -92,8 +92,7 @@ def offer_time(policy: Policy, env: Any) -> None:
         env: Environment in which it acts.
     """
     if isinstance(policy, TimeAware):
-        core = env.unwrapped.core
-        policy.observed_at(core.time_s, real_time=core.setup.keeps_time)
+        policy.observed_at(env.unwrapped.core.time_s)
 
 
 def act(policy: Policy, observation: Any, env: Any, dtype: Any) -> Array:

@@ -86,10 +86,10 @@ class Takeover:
         self.operator.close()
         close_policy(self.policy)
 
-    def observed_at(self, time_s: Array, *, real_time: bool) -> None:
+    def observed_at(self, time_s: Array) -> None:
         """Give the policy the time of the next observation; see `dual_ur10.policies.policy.TimeAware`."""
         if isinstance(self.policy, TimeAware):
-            self.policy.observed_at(time_s, real_time=real_time)
+            self.policy.observed_at(time_s)
 
     def __call__(self, observation: Any) -> Array:
         """Return the float32 action for the observation of one cell, or for a batch of one.

@@ -18,6 +18,7 @@ from dual_ur10.errors import ActionError, ChunkError, DualUR10Error, PolicyServe
 from dual_ur10.policies.chunks.chunk_policy import ChunkPolicy
 from dual_ur10.policies.remote.wire import MOST_BYTES, packed, unpacked
 
+_TURN_S: Final = 1.0
 _LOG: Final = logging.getLogger(__name__)
 
 
@@ -108,7 +109,7 @@ class PolicyServer:
 
     def _serve(self, connection: Any) -> None:
         """Answer one client."""
-        if not self._turn.acquire(blocking=False):
+        if not self._turn.acquire(timeout=_TURN_S):  # a client that comes back may be sooner than its own end
             _end(connection, "busy: this server answers one client at a time")
             return
         try:

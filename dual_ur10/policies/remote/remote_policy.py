@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 from urllib.parse import parse_qs, urlsplit, urlunsplit
 
 import numpy as np
@@ -47,6 +47,8 @@ class RemotePolicy:
         PolicyServerError: There is no such server, or it states neither of both, as the mapping does.
     """
 
+    portable: ClassVar[bool] = True
+
     def __init__(self, address: str, mapped: Mapped, token: str | None = None) -> None:
         self.address, self._mapped, self._token = address, mapped, token
         self.__name__ = f"{PREFIX}{address}"
@@ -65,6 +67,9 @@ class RemotePolicy:
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.address!r})"
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_socket": None}  # another process connects anew
 
     def _connected(self) -> dict[str, Any]:
         """Connect, and return what the server states of itself."""
@@ -99,7 +104,7 @@ class RemotePolicy:
         Raises:
             PolicyServerError: It does not answer.
         """
-        if self._socket.state is not websockets.protocol.State.OPEN:
+        if self._socket is None or self._socket.state is not websockets.protocol.State.OPEN:
             self.metadata = self._connected()
         if self._mapped.mapping.endpoint or "reset" in (self.metadata.get("endpoints") or ()):
             self._sent({"endpoint": "reset"})
@@ -112,6 +117,8 @@ class RemotePolicy:
             PolicyServerError: It is gone, does not answer, or answers with something else.
         """
         request = self._mapped.request(observation)
+        if self._socket is None:
+            self.metadata = self._connected()
         if self.metadata.get("time_key") == "time_s":
             request["time_s"] = time_s
         self._sent(request)

@@ -1,6 +1,7 @@
 """Chunk policies of tests."""
 
 import math
+import os
 
 import numpy as np
 
@@ -59,6 +60,17 @@ class Once(Sway):
         return self.then(found)
 
 
+class Portable(Sway):
+    """It is asked in a child process where the time of day is kept, and the second time that one ends."""
+
+    portable = True
+
+    def chunk(self, observation, time_s):
+        if self.asked:
+            os._exit(1)
+        return super().chunk(observation, time_s)
+
+
 def commanded_of(observation):
     """Return the commanded joint positions, (12,), in the observation of one cell."""
     return np.asarray(observation, dtype=np.float64).reshape(2, -1)[:, 12:18].reshape(12)
@@ -76,8 +88,8 @@ class Arms:
         noise = self._rng.uniform(-3.0, 3.0, (2, 12))
         return np.concatenate([noise, self.q.reshape(2, 6), np.zeros((2, 7))], axis=1).reshape(-1)
 
-    def step(self, real_time=False):
-        self.executor.observed_at(np.array([self.time_s]), real_time=real_time)
+    def step(self):
+        self.executor.observed_at(np.array([self.time_s]))
         action = self.executor(self.observation()).astype(np.float64).reshape(2, -1)
         if action.shape[1] == 7:
             self.openings.append(action[:, 6])
@@ -91,9 +103,9 @@ class Arms:
         self.path.append(self.q.copy())
         self.times.append(self.time_s)
 
-    def run(self, duration_s, real_time=False):
+    def run(self, duration_s):
         for _ in range(math.ceil(duration_s / self.period_s - 1e-9)):
-            self.step(real_time)
+            self.step()
         return np.array(self.path)
 
     def differences(self):

@@ -17,7 +17,7 @@ from dual_ur10.errors import ChunkError, PolicyError, SettingsError
 from dual_ur10.policies import evaluate, load, make, rollout
 from dual_ur10.policies.chunks.executor import ChunkExecutor
 from dual_ur10.sim2real.control.limits import MotionLimits
-from tests.policies.chunks.sources import Arms, Once, Sway
+from tests.policies.chunks.sources import Arms, Once, Portable, Sway
 
 LIMITS = MotionLimits(speed_rad_s=(1.2,) * 6, acceleration_rad_s2=10.0, jerk_rad_s3=2000.0, tcp_speed_m_s=1.5)
 
@@ -177,23 +177,40 @@ class Slow(Sway):
 
 def test_where_the_time_of_day_is_kept_no_action_waits_for_a_chunk():
     source = Slow()
-    executor = executor_of(source)
+    executor = executor_of(source, real_time=True)
     arms = Arms(executor)
     for _ in range(5):
-        arms.step(real_time=True)
+        arms.step()
     assert source.begun.acquire(timeout=30.0)  # it is asked, once
     assert np.ptp(arms.path, axis=0).max() == 0.0
     source.let.release()
     while not executor._rows[0].pending.done:
         threading.Event().wait(0.001)
     for _ in range(40):
-        arms.step(real_time=True)
+        arms.step()
     assert source.asked == [0.0]
     assert executor.splices == 1
     assert np.abs(arms.path[-1] - source.q_rad(np.array([1.5]))[0]).max() < 1e-6  # the next one has not come
     with pytest.raises(ChunkError, match="no chunk for 10 s"):
-        arms.run(16.0, real_time=True)
+        arms.run(16.0)
     source.let.release()
+    executor.close()
+    executor.close()
+
+
+def test_a_portable_chunk_policy_is_asked_in_a_child_process_whose_end_is_an_error():
+    executor = executor_of(Portable(), real_time=True)
+    arms = Arms(executor)
+    arms.step()
+    assert executor._inference._connection.poll(30.0)
+    while executor._rows[0].error is None:
+        arms.step()
+        executor._inference._connection.poll(30.0 if executor._rows[0].pending else 0.0)
+    with pytest.raises(ChunkError, match="the process that asks the chunk policy has ended"):
+        arms.run(4.0)
+    assert executor.splices == 1
+    assert executor.source.asked == []  # it was asked elsewhere
+    assert (np.array(arms.differences()) <= [1.2, 10.0, 2000.0]).all()
     executor.close()
     executor.close()
 

@@ -17,7 +17,7 @@ from dual_ur10.envs.tasks.task import Timing
 from dual_ur10.errors import ActionError, ChunkError, SettingsError
 from dual_ur10.policies.chunks.chunk_path import ChunkPath, SplicedPath, Splicer
 from dual_ur10.policies.chunks.chunk_policy import CHUNK_MODES, ChunkPolicy
-from dual_ur10.policies.chunks.inference import Answer, ChildInference, Inference, Planner, ThreadInference, fill
+from dual_ur10.policies.chunks.inference import Answer, ChildInference, ChunkPlanner, Inference, ThreadInference, fill
 from dual_ur10.policies.policy import close_policy
 from dual_ur10.sim2real.control.limits import MotionLimits
 from ur_core.tools.tool import Tool, strokes_m
@@ -150,7 +150,7 @@ class ChunkExecutor:
         self._period_s = timing.period_s
         self._settled_s = timing.ahead_s + 2 * timing.period_s  # from a path that rests to targets that do
         self._step_rad = self._splicer.speed_rad_s * timing.period_s
-        self._planner = Planner(self._splicer, grippers, self.__name__)
+        self._planner = ChunkPlanner(self._splicer, grippers, self.__name__)
         self._inference: Inference | None = None
         if real_time:
             kind = ChildInference if getattr(source, "portable", False) else ThreadInference

@@ -23,7 +23,7 @@ from ur_core.processes.child_process import Child, shorten_slice
 from ur_core.types import Array
 
 
-class Plan(NamedTuple):
+class ChunkPlan(NamedTuple):
     """Chunk as it is executed.
 
     Attributes:
@@ -37,7 +37,7 @@ class Plan(NamedTuple):
     openings: Array | None
 
 
-class Planner:
+class ChunkPlanner:
     """Maker of plans, which works beside the control loop.
 
     Args:
@@ -49,7 +49,7 @@ class Planner:
     def __init__(self, splicer: Splicer, grippers: bool, name: str) -> None:
         self._splicer, self._size, self._name = splicer, 7 if grippers else 6, name
 
-    def __call__(self, source: ChunkPolicy, observation: Any, time_s: float, commanded: Array) -> Plan:
+    def __call__(self, source: ChunkPolicy, observation: Any, time_s: float, commanded: Array) -> ChunkPlan:
         """Ask a chunk policy, and return the plan.
 
         Args:
@@ -72,7 +72,7 @@ class Planner:
             steps = np.clip(actions, -1.0, 1.0) * (self._splicer.speed_rad_s * dt_s)
             path = ChunkPath(time_s, dt_s, commanded + np.cumsum(np.vstack([np.zeros(12), steps]), axis=0))
         self._splicer.end(path)
-        return Plan(path, dt_s, rows[..., 6] if self._size == 7 else None)
+        return ChunkPlan(path, dt_s, rows[..., 6] if self._size == 7 else None)
 
 
 @dataclass
@@ -91,12 +91,12 @@ class Answer:
     time_s: float
     commanded: Array
     ready_s: float = 0.0
-    plan: Plan | None = None
+    plan: ChunkPlan | None = None
     error: Exception | None = None
     done: bool = False
 
 
-def fill(answer: Answer, source: ChunkPolicy, observation: Any, planner: Planner) -> None:
+def fill(answer: Answer, source: ChunkPolicy, observation: Any, planner: ChunkPlanner) -> None:
     """Ask a chunk policy."""
     try:
         answer.plan = planner(source, observation, answer.time_s, answer.commanded)
@@ -129,7 +129,7 @@ class ThreadInference:
         planner: Maker of plans.
     """
 
-    def __init__(self, source: ChunkPolicy, planner: Planner) -> None:
+    def __init__(self, source: ChunkPolicy, planner: ChunkPlanner) -> None:
         self._planner = planner
         self._tasks: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         thread = threading.Thread(target=self._work, args=(self._tasks,), name="chunks", daemon=True)
@@ -170,7 +170,7 @@ class ChildInference:
         planner: Maker of plans.
     """
 
-    def __init__(self, source: ChunkPolicy, planner: Planner) -> None:
+    def __init__(self, source: ChunkPolicy, planner: ChunkPlanner) -> None:
         close_policy(source)  # its server may take one client only
         self._connection, theirs = Pipe()
         self._asked: deque[Answer] = deque()
@@ -216,7 +216,7 @@ class ChildInference:
         self._child.kill()
 
 
-def _answer(number: int, source: ChunkPolicy, planner: Planner) -> None:
+def _answer(number: int, source: ChunkPolicy, planner: ChunkPlanner) -> None:
     """Answer requests of `ChildInference` until its end is closed."""
     with Connection(number) as connection, contextlib.suppress(OSError, EOFError):
         while True:

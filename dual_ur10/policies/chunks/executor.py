@@ -17,7 +17,14 @@ from dual_ur10.envs.tasks.task import Timing
 from dual_ur10.errors import ActionError, ChunkError, SettingsError
 from dual_ur10.policies.chunks.chunk_path import ChunkPath, SplicedPath, Splicer
 from dual_ur10.policies.chunks.chunk_policy import CHUNK_MODES, ChunkPolicy
-from dual_ur10.policies.chunks.inference import Answer, ChildInference, ChunkPlanner, Inference, ThreadInference, fill
+from dual_ur10.policies.chunks.inference import (
+    ChildInference,
+    ChunkAnswer,
+    ChunkPlanner,
+    Inference,
+    ThreadInference,
+    fill,
+)
 from dual_ur10.policies.policy import close_policy
 from dual_ur10.sim2real.control.limits import MotionLimits
 from ur_core.tools.tool import Tool, strokes_m
@@ -60,7 +67,7 @@ class _ChunkedCell:
     commanded: Array = field(default_factory=lambda: np.zeros(12))
     sent: Array | None = None
     path: SplicedPath | None = None
-    pending: Answer | None = None
+    pending: ChunkAnswer | None = None
     stamp_s: float = -math.inf
     opening: Array | None = None
     rest: Array = field(default_factory=lambda: np.ones(2))
@@ -282,7 +289,7 @@ class ChunkExecutor:
     def _ask(self, row: _ChunkedCell, time_s: float, commanded: Array, observation: Any) -> None:
         """Ask for a chunk, in the thread where the time of day is kept."""
         row.asked_s = time_s
-        row.pending = answer = Answer(time_s, commanded, ready_s=time_s)
+        row.pending = answer = ChunkAnswer(time_s, commanded, ready_s=time_s)
         if self._inference is not None:
             self._inference.ask(answer, _copied(observation))
             return

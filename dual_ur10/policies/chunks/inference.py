@@ -76,7 +76,7 @@ class ChunkPlanner:
 
 
 @dataclass
-class Answer:
+class ChunkAnswer:
     """Chunk, or error, of a request. Whoever asks fills it, and sets `done` last.
 
     Attributes:
@@ -96,7 +96,7 @@ class Answer:
     done: bool = False
 
 
-def fill(answer: Answer, source: ChunkPolicy, observation: Any, planner: ChunkPlanner) -> None:
+def fill(answer: ChunkAnswer, source: ChunkPolicy, observation: Any, planner: ChunkPlanner) -> None:
     """Ask a chunk policy."""
     try:
         answer.plan = planner(source, observation, answer.time_s, answer.commanded)
@@ -108,7 +108,7 @@ def fill(answer: Answer, source: ChunkPolicy, observation: Any, planner: ChunkPl
 class Inference(Protocol):
     """Chunk policy that is asked beside the control loop."""
 
-    def ask(self, answer: Answer, observation: Any) -> None:
+    def ask(self, answer: ChunkAnswer, observation: Any) -> None:
         """Ask for a chunk, without waiting for it."""
 
     def reset(self) -> None:
@@ -143,7 +143,7 @@ class ThreadInference:
             task()
             del task  # or this thread would keep its inference from being collected
 
-    def ask(self, answer: Answer, observation: Any) -> None:
+    def ask(self, answer: ChunkAnswer, observation: Any) -> None:
         """See `Inference`."""
         source, planner = self._source, self._planner
         self._tasks.put(lambda: fill(answer, source, observation, planner))
@@ -173,11 +173,11 @@ class ChildInference:
     def __init__(self, source: ChunkPolicy, planner: ChunkPlanner) -> None:
         close_policy(source)  # its server may take one client only
         self._connection, theirs = Pipe()
-        self._asked: deque[Answer] = deque()
+        self._asked: deque[ChunkAnswer] = deque()
         with theirs:
             self._child = Child(_answer, theirs.fileno(), source, planner, files=[theirs.fileno()], name="chunks")
 
-    def ask(self, answer: Answer, observation: Any) -> None:
+    def ask(self, answer: ChunkAnswer, observation: Any) -> None:
         """See `Inference`."""
         self._asked.append(answer)
         self._send((observation, answer.time_s, answer.commanded))
@@ -217,7 +217,7 @@ class ChildInference:
 
 
 def _answer(number: int, source: ChunkPolicy, planner: ChunkPlanner) -> None:
-    """Answer requests of `ChildInference` until its end is closed."""
+    """ChunkAnswer requests of `ChildInference` until its end is closed."""
     with Connection(number) as connection, contextlib.suppress(OSError, EOFError):
         while True:
             request = connection.recv()
@@ -226,7 +226,7 @@ def _answer(number: int, source: ChunkPolicy, planner: ChunkPlanner) -> None:
                     source.reset()
                 continue
             observation, time_s, commanded = request
-            answer = Answer(time_s, commanded)
+            answer = ChunkAnswer(time_s, commanded)
             fill(answer, source, observation, planner)
             connection.send((answer.plan, _portable(answer.error)))
 

@@ -12,6 +12,7 @@ import numpy as np
 from safetensors.numpy import save
 
 from dual_ur10.policies.learned.checkpoint import _tensors
+from dual_ur10.policies.remote.wire import packed
 from dual_ur10.sim2real.calibration import data_file
 from dual_ur10.sim2real.cell_file.reference import EXAMPLES, starting_text
 from dual_ur10.sim2real.recording import mcap_records as mcap
@@ -259,4 +260,9 @@ SEEDS: Final[dict[str, list[bytes]]] = {
     ],
     "record_header": [json.dumps(asdict(HEADER)).encode()],
     "record_cdr": [b"\0" + _BEGIN, b"\1" + _step(0), b"\2" + _EVENT],
+    "policy_message": [
+        packed({"observation": np.linspace(-1.0, 1.0, 6), "time_s": 0.5, "prompt": "carry the bar"}),
+        packed({"actions": np.ones((2, 3), dtype=np.float32), "server_timing": {"infer_ms": 1.5}}),
+        packed({"dt_s": 0.1, "endpoints": ["infer", "reset"], "camera": np.zeros((1, 2, 3), dtype=np.uint8)}),
+    ],
 }

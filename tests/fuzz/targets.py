@@ -20,10 +20,18 @@ from typing import Any, Final
 
 import numpy as np
 
-from dual_ur10.errors import CalibrationError, CellFileError, CheckpointError, RecordingError, TrajectoryError
+from dual_ur10.errors import (
+    CalibrationError,
+    CellFileError,
+    CheckpointError,
+    PolicyServerError,
+    RecordingError,
+    TrajectoryError,
+)
 from dual_ur10.policies.learned import schema
 from dual_ur10.policies.learned.checkpoint import _layers
 from dual_ur10.policies.learned.manifest import FORMAT, _checksum, parse
+from dual_ur10.policies.remote.wire import packed, unpacked
 from dual_ur10.sim2real.calibration import data_file
 from dual_ur10.sim2real.cell_file.cell_file import examine_text
 from dual_ur10.sim2real.cell_file.tables import EmulatedTrackerEntry
@@ -700,3 +708,9 @@ def record_cdr(data: bytes) -> None:
     """Messages in CDR; the first byte chooses the definition."""
     if data:
         (BEGIN, STEP, EVENT)[data[0] % 3].decode(data[1:])
+
+
+@target(PolicyServerError, words="__ndarray__ __npgeneric__ data dtype shape actions observation <f4 |u1 |O")
+def policy_message(data: bytes) -> None:
+    """Messages of policy servers and their clients; what is read can be sent."""
+    packed(unpacked(data, "fuzzing"))

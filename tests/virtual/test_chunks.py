@@ -19,13 +19,19 @@ def raising(rows):
     raise ConnectionError("the server is gone")
 
 
-def run(source, delays):
+def run(source, delays, late=()):
     """Return the episode of a chunk policy, its environment's core and the text of a latched stop."""
     with VirtualCell(task="SineTracking") as cell:
         env = cell.make("DualUR10/SineTracking-v0", duration_s=3.0)
         executor = executor_for(source, env.unwrapped.core.setup, latency_s=lambda: next(delays))
+        steps = itertools.count()
+
+        def step(_):
+            if next(steps) in late:
+                cell.clock.sleep(0.06)
+
         try:
-            return rollout(env, executor, seed=0), env.unwrapped.core, cell.fault
+            return rollout(env, executor, seed=0, on_step=step), env.unwrapped.core, cell.fault
         except ConnectionError as error:
             return error, env.unwrapped.core, cell.fault
 
@@ -38,6 +44,18 @@ def test_late_and_lost_chunks_stop_no_arm():
         episodes.append(found.q_rad)
     assert np.array_equal(*episodes)
     assert np.ptp(episodes[0], axis=0).min() > 0.05
+
+
+def test_arms_that_a_late_action_stopped_come_back_to_their_path():
+    found = []
+    for late in ((), (30,)):
+        episode, core, fault = run(Sway(), itertools.repeat(0.08), late)
+        assert (core.late_actions, fault) == (len(late), "")
+        found.append(episode.q_rad)
+    apart = np.abs(found[1] - found[0]).max(axis=(1, 2))
+    assert apart.max() > 0.01
+    assert apart[30:].argmax() < 5  # the stop; nothing overshoots later
+    assert apart[44:].max() < 1e-3
 
 
 def test_a_server_that_is_gone_latches_a_stop_of_arms_that_rest():

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 _LAYOUT: Final = ObservationLayout(*ARM_FIELDS)
 _COMMANDED: Final = _LAYOUT.indices(["commanded_q_rad"])
+_SPEEDS: Final = _LAYOUT.indices(["qd_rad_s"])
 _APART_RAD: Final = 1e-4  # commanded positions so far from the last action are not those of this policy
 _ROUNDING_S: Final = 1e-9
 _KEPT: Final = 100  # latencies of which the largest counts
@@ -50,7 +51,7 @@ class _ChunkedCell:
 
     Attributes:
         time_s: Time of the last observation; -inf: there was none in the episode.
-        commanded: (12,) joint positions commanded then.
+        speeds: (12,) measured joint speeds then; zeros: they are not observed.
         sent: (12,) joint positions of the last action; None: there was none.
         path: Path that both arms follow; None: no chunk has arrived yet.
         pending: Request whose answer is awaited.
@@ -64,7 +65,7 @@ class _ChunkedCell:
     """
 
     time_s: float = -math.inf
-    commanded: Array = field(default_factory=lambda: np.zeros(12))
+    speeds: Array = field(default_factory=lambda: np.zeros(12))
     sent: Array | None = None
     path: SplicedPath | None = None
     pending: ChunkAnswer | None = None
@@ -210,9 +211,10 @@ class ChunkExecutor:
         if len(self._rows) != n:
             raise ActionError(f"{n} observations after {len(self._rows)}: call reset() before another number")
         if self._view is None:
-            commanded = batch.reshape(n, 2, -1)[..., _COMMANDED]
+            commanded, speeds = (batch.reshape(n, 2, -1)[..., part] for part in (_COMMANDED, _SPEEDS))
         else:
             commanded = self._view.commanded_q_rad(batch)
+            speeds = np.zeros_like(commanded)
         offered, self._offered = self._offered, None
         actions = []
         for k, row in enumerate(self._rows):
@@ -222,6 +224,7 @@ class ChunkExecutor:
             if row.sent is None and self._grippers:
                 row.rest = self._measured_openings(batch[k])
             one = observation if state.ndim == 1 else _row_of(observation, k)
+            row.speeds = speeds[k].reshape(12)
             actions.append(self._act(row, time_s, commanded[k].reshape(12), one))
         return np.array(actions).reshape(*state.shape[:-1], -1).astype(np.float32)
 
@@ -250,7 +253,7 @@ class ChunkExecutor:
             row.sent = commanded + joints * self._step_rad
         else:
             joints = row.sent = goal
-        row.time_s, row.commanded = time_s, commanded
+        row.time_s = time_s
         if not self._grippers:
             return joints
         return np.concatenate([joints.reshape(2, 6), self._opening(row, time_s)[:, None]], axis=1).reshape(-1)
@@ -270,8 +273,7 @@ class ChunkExecutor:
         if row.path is None:
             return state
         path = row.path(np.array([time_s]))[:3, 0]
-        state[1] = (commanded - row.commanded) / self._period_s
-        state[1, np.abs(state[1]) > 1.01 * self._splicer.speed_rad_s] = 0.0  # not a motion: the arms had stopped
+        state[1] = np.clip(row.speeds, -self._splicer.speed_rad_s, self._splicer.speed_rad_s)
         return np.where(np.abs(commanded - path[0]) > _APART_RAD, state, path)
 
     def _is_due(self, row: _ChunkedCell, time_s: float) -> bool:

@@ -77,7 +77,7 @@ def commanded_of(observation):
 
 
 class Arms:
-    """Stand-in for an environment: both arms are commanded exactly where the actions lead; measured ones are noise."""
+    """Stand-in for an environment: commands are exactly where the actions lead, measured positions are noise."""
 
     def __init__(self, executor, mode="joint_delta", period_s=0.04, begins=0.3, seed=0):
         self.executor, self.mode, self.period_s = executor, mode, period_s
@@ -85,8 +85,10 @@ class Arms:
         self.path, self.times, self.openings = [self.q.copy()], [0.0], []
 
     def observation(self):
-        noise = self._rng.uniform(-3.0, 3.0, (2, 12))
-        return np.concatenate([noise, self.q.reshape(2, 6), np.zeros((2, 7))], axis=1).reshape(-1)
+        noise = self._rng.uniform(-3.0, 3.0, (2, 6))
+        speeds = (self.path[-1] - self.path[-2]) / self.period_s if len(self.path) > 1 else np.zeros(12)
+        parts = [noise, speeds.reshape(2, 6), self.q.reshape(2, 6), np.zeros((2, 7))]
+        return np.concatenate(parts, axis=1).reshape(-1)
 
     def step(self):
         self.executor.observed_at(np.array([self.time_s]))

@@ -6,6 +6,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3.12 || command -v p
 VENV := .venv
 OLDEST := .venv-oldest
 RLLIB := .venv-rllib
+LEROBOT := .venv-lerobot
 CLIENTS := .venv-clients
 CHROMIUM ?= /usr/bin/chromium
 KERNEL := packages/ur-core/ur_core/kernel/_kernel.so
@@ -29,7 +30,7 @@ ALONE = $(VENV)/bin/python -m tests.alone .venv-$(1) "$(1)[test]" --source $(2) 
 # `make fuzz`: executions per target, or seconds (TIME_S=60); some targets only (TARGET=rtde_server); another seed.
 RUNS ?= $(if $(TIME_S),0,20000)
 
-.PHONY: help demo dist docs media test test-virtual test-live test-page test-oldest test-rllib test-torchrl clients soak simulate mutants fuzz bench install lint format clean check-python check-python-of-tests
+.PHONY: help demo dist docs media test test-virtual test-live test-page test-oldest test-rllib test-lerobot test-torchrl clients soak simulate mutants fuzz bench install lint format clean check-python check-python-of-tests
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*  ## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
@@ -84,6 +85,16 @@ $(RLLIB)/.dev: pyproject.toml $(PACKAGED) constraints-rllib.txt | check-python
 	@echo "Installing dual-ur10 with Ray RLlib into $(RLLIB) ..."
 	@test -x $(RLLIB)/bin/python || $(PYTHON) -m venv $(RLLIB)
 	@$(RLLIB)/bin/python -m pip install $(PIP_FLAGS) -c constraints-rllib.txt $(EDITABLE) '.[rllib]' hypothesis psutil pytest
+	@touch $@
+
+# LeRobot asks for Python 3.12 and a PyTorch of its own choice: on Linux, 2.2 GB from the usual index, 5 GB on disk.
+LEROBOT_PYTHON ?= $(shell command -v python3.12)
+PLUGINS := $(addprefix -e integrations/lerobot_,robot_dual_ur10 teleoperator_dual_ur10 env_dual_ur10)
+$(LEROBOT)/.dev: pyproject.toml $(PACKAGED) constraints-lerobot.txt $(wildcard integrations/*/pyproject.toml)
+	@test -n "$(LEROBOT_PYTHON)" || { echo "LeRobot needs python3.12: install it, or name it: make test-lerobot LEROBOT_PYTHON=/path/to/it"; exit 1; }
+	@echo "Installing dual-ur10 with LeRobot into $(LEROBOT) ..."
+	@test -x $(LEROBOT)/bin/python || $(LEROBOT_PYTHON) -m venv $(LEROBOT)
+	@$(LEROBOT)/bin/python -m pip install $(PIP_FLAGS) -c constraints-lerobot.txt $(EDITABLE) '.[lerobot,teleop,virtual]' $(PLUGINS) pytest
 	@touch $@
 
 # Clients of UR controllers by others. One of them needs a NumPy that nothing else takes.
@@ -168,6 +179,9 @@ test-torchrl: $(VENV)/.dev $(KERNEL)  ## TorchRL's own wrappers and checks, whic
 test-rllib: $(RLLIB)/.dev $(KERNEL)  ## training on Ray RLlib with two workers on this machine
 	@$(RLLIB)/bin/python -m pytest tests/distributed
 
+test-lerobot: $(LEROBOT)/.dev $(KERNEL)  ## LeRobot's loader, record, replay, eval and rollout with simulated and emulated arms
+	@$(LEROBOT)/bin/python -m pytest --confcutdir integrations integrations/tests
+
 clients: $(VENV)/.dev $(CLIENTS)/.dev $(KERNEL)  ## other client libraries against emulated controllers and policy servers; writes the table of docs/reference/clients.md
 	@$(VENV)/bin/python benchmarks/clients.py --python $(CLIENTS)/bin/python --page docs/reference/clients.md
 	@$(VENV)/bin/python benchmarks/policy_servers.py --python $(CLIENTS)/bin/python
@@ -222,4 +236,4 @@ format: $(VENV)/.dev  ## ruff's formatter and its safe fixes
 	@$(VENV)/bin/ruff format .
 
 clean:  ## remove what make built
-	rm -rf $(VENV) .venv-ur-core .venv-ur-emulator $(OLDEST) $(RLLIB) $(CLIENTS) $(KERNEL) out build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) .venv-ur-core .venv-ur-emulator $(OLDEST) $(RLLIB) $(LEROBOT) $(CLIENTS) $(KERNEL) out build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

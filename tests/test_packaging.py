@@ -113,6 +113,22 @@ def test_the_distributions_have_one_version():
     assert first == [(version, first[0][1])] * 3
 
 
+def test_plugins_have_the_names_and_the_version_that_lerobot_and_they_need():
+    """LeRobot looks for the beginning of a distribution's name, which hyphens would hide from it."""
+    import dual_ur10
+
+    projects = sorted((ROOT / "integrations").glob("*/pyproject.toml"))
+    assert len(projects) == 3
+    for path in projects:
+        project = tomllib.loads(path.read_text())["project"]
+        assert re.fullmatch(r"lerobot_(robot|teleoperator|env)_dual_ur10", project["name"])
+        assert (path.parent / project["name"] / "__init__.py").is_file()
+        assert path.parent.name == project["name"]
+        assert project["version"] == dual_ur10.__version__
+        own = [each for each in project["dependencies"] if "dual" in each]
+        assert [each for each in own if not each.endswith(f"=={dual_ur10.__version__}")] == []
+
+
 def _step(name, job="build"):
     """Return a step of the workflow of releases by the beginning of its name or action."""
     jobs = yaml.safe_load((WORKFLOWS / "release.yml").read_text())["jobs"]

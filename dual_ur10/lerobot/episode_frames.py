@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from dual_ur10.errors import DatasetError, RecordingError
 from dual_ur10.lerobot.features import ACTION, ENV_ACTION, ENVIRONMENT_STATE, STATE
+from dual_ur10.lerobot.positions import Positions, joined
 from dual_ur10.policies.learned.signature import EnvironmentView, view_of
 from dual_ur10.sim2real.analysis.reconstruction import keywords_of
 from dual_ur10.sim2real.recording.run import Episode, Header
@@ -18,8 +19,6 @@ from ur_core.types import Array
 
 Columns = Mapping[str, NDArray[Any]]
 
-_COMMANDED: Final = "commanded_q_rad"
-_WIDTH: Final = "gripper_m"
 _ROUNDING: Final = 1e-6
 
 
@@ -30,13 +29,13 @@ class RecordedView:
     Attributes:
         env_id: Id of the environment.
         view: Signature and layout of its observations.
-        stroke_m: (2,) largest width of each gripper; None: there are none.
+        positions: Positions of both arms in them.
         fps: Frames per second: steps of the environment.
     """
 
     env_id: str
     view: EnvironmentView
-    stroke_m: Array | None
+    positions: Positions
     fps: int
 
     def __repr__(self) -> str:
@@ -66,16 +65,16 @@ class RecordedView:
         ):
             if values.shape != shape:
                 raise RecordingError(f"{name} of {what} have shape {values.shape}, expected is {shape}")
-        commanded, width = self._commanded(episode.observation), self._measured(episode.observation)
+        commanded = self.positions.commanded(episode.observation)
         commander = np.zeros((count, 2), dtype=np.int64)
         if episode.commander is not None:
             commander[:] = episode.commander
         last, success = np.zeros((2, count), dtype=bool)
         last[-1:], success[-1:] = True, bool(episode.success)
         return {
-            STATE: _joined(commanded[:-1], None if width is None else width[:-1]),
+            STATE: self.positions.state(episode.observation)[:-1],
             ENVIRONMENT_STATE: episode.observation[:-1].astype(np.float32),
-            ACTION: _joined(commanded[1:], self._widths(episode)),
+            ACTION: joined(commanded[1:], self._widths(episode)),
             ENV_ACTION: episode.action.astype(np.float32),
             "next.reward": episode.reward.astype(np.float32),
             "next.done": last,
@@ -84,32 +83,15 @@ class RecordedView:
             "intervention": commander.max(axis=1) > 0,
         }
 
-    def _commanded(self, observation: Array) -> Array:
-        """Return the commanded joints, (m + 1, 2, 6), that observations show."""
-        if self.view.setup.options.concise:
-            shown: Array = self.view.setup.make_task().concise_view().commanded_q_rad(observation)
-            return shown
-        found: Array = self.view.layout.split(observation)[_COMMANDED]
-        return found
-
-    def _measured(self, observation: Array) -> Array | None:
-        """Return the measured widths, (m + 1, 2), as fractions of the strokes; None: there are no grippers."""
-        if self.stroke_m is None:
-            return None
-        if _WIDTH not in self.view.layout.names:
-            return np.ones((len(observation), 2))
-        found: Array = self.view.layout.split(observation)[_WIDTH][..., 0] / self.stroke_m
-        return found
-
     def _widths(self, episode: Episode) -> Array | None:
         """Return the commanded widths, (m, 2), as fractions of the strokes; None: there are no grippers."""
-        if self.stroke_m is None:
+        if self.positions.stroke_m is None:
             return None
         if episode.gripper_m is None:
             size = episode.action.shape[1] // 2
             ratio: Array = (np.clip(episode.action[:, size - 1 :: size], -1.0, 1.0) + 1.0) / 2.0
             return ratio
-        found: Array = episode.gripper_m[:, -1] / self.stroke_m
+        found: Array = episode.gripper_m[:, -1] / self.positions.stroke_m
         return found
 
 
@@ -126,11 +108,6 @@ def view_of_run(header: Header) -> RecordedView:
     elif keywords.get("observation") != "goals":
         keywords.pop("observation", None)
     view = view_of(header.env_id, keywords)
-    if _COMMANDED not in view.layout.names:
-        raise RecordingError(
-            f"the observations of {header.env_id} have no field {_COMMANDED!r}: begin the layout of its task with "
-            "ARM_FIELDS"
-        )
     period_s = header.tick_s * header.period_ticks
     fps = round(1.0 / period_s)
     if fps < 1 or abs(fps * period_s - 1.0) > _ROUNDING:
@@ -138,13 +115,4 @@ def view_of_run(header: Header) -> RecordedView:
             f"a step takes {period_s:g} s: LeRobot's datasets have a whole number of frames per second, as with "
             "policy_rate_hz=25. Record the run anew at such a rate"
         )
-    setup = view.setup
-    stroke_m = setup.make_adapter().stroke_m if view.signature.actions.gripper else None
-    return RecordedView(header.env_id, view, stroke_m, fps)
-
-
-def _joined(joints_rad: Array, widths: Array | None) -> NDArray[np.float32]:
-    """Return positions, (m, 12 or 14), in float32: of each arm the joints and, if it has one, the gripper."""
-    parts = [joints_rad] if widths is None else [joints_rad, widths[:, :, None]]
-    found: NDArray[np.float32] = np.concatenate(parts, axis=2).reshape(len(joints_rad), -1).astype(np.float32)
-    return found
+    return RecordedView(header.env_id, view, Positions(view), fps)

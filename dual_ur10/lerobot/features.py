@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import prod
@@ -129,3 +130,9 @@ def of_arms(
 def image_key(camera: str) -> str:
     """Return the name of the feature of a camera's images. LeRobot allows no "/" in it."""
     return IMAGES + camera.replace("/", "_")
+
+
+def words_of(env_id: str) -> str:
+    """Return an environment's name in words, such as "Sync carry"."""
+    name = env_id.split("/")[-1].rsplit("-v", 1)[0]
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", name).capitalize()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -13,7 +12,7 @@ from dual_ur10.errors import DatasetError, RecordingError
 from dual_ur10.lerobot.column_statistics import Statistics, image_statistics, sampled, small
 from dual_ur10.lerobot.dataset_writer import OWN, DatasetWriter
 from dual_ur10.lerobot.episode_frames import RecordedView, view_of_run
-from dual_ur10.lerobot.features import DatasetFeature, image_key, of_arms
+from dual_ur10.lerobot.features import DatasetFeature, image_key, of_arms, words_of
 from dual_ur10.lerobot.image_video import ImageVideo, video_info
 from dual_ur10.policies.training.demonstrations import KEPT, kept_of, runs_in
 from dual_ur10.sim2real.analysis.reconstruction import generator_text
@@ -92,7 +91,7 @@ def to_lerobot(
     first = [read_run(runs[0], allow_partial=allow_partial)]
     header = first[0].header
     view = view_of_run(header)
-    words = task or _words(view.env_id)
+    words = task or words_of(view.env_id)
     headers: list[dict[str, str]] = []
     episodes: list[dict[str, Any]] = []
     with writer(folder, view.fps, _features(view, cameras, size), _robot(view)) as made:
@@ -109,7 +108,7 @@ def to_lerobot(
             on_run(done + 1, len(runs))
         if not episodes:
             raise DatasetError("the runs have no episode to export: record some, or leave --successful out")
-        stroke_m = None if view.stroke_m is None else view.stroke_m.tolist()
+        stroke_m = None if view.positions.stroke_m is None else view.positions.stroke_m.tolist()
         made.write_json(OWN, {"format": FORMAT, "gripper_stroke_m": stroke_m, "runs": headers, "episodes": episodes})
     return Exported(folder, len(episodes), sum(made.lengths), view.fps)
 
@@ -154,12 +153,6 @@ def _features(view: RecordedView, cameras: Sequence[str], size: tuple[int, int])
 def _robot(view: RecordedView) -> str:
     """Return the name of the robot, such as "dual_ur10"."""
     return "dual_" + view.view.signature.robot.model.lower().replace(" + ", "_")
-
-
-def _words(env_id: str) -> str:
-    """Return an environment's name in words, such as "Sync carry"."""
-    name = env_id.split("/")[-1].rsplit("-v", 1)[0]
-    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", name).capitalize()
 
 
 def _about(run: Run, place: int, number: int, episode: Episode) -> dict[str, Any]:

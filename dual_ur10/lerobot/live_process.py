@@ -1,0 +1,160 @@
+"""Process that steps an environment at its own rate, with the newest positions that another process commands."""
+
+from __future__ import annotations
+
+import contextlib
+import pickle
+import time
+from collections.abc import Mapping, Sequence
+from multiprocessing.connection import Connection
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dual_ur10.envs.api.dual_arm_env import DualArmEnv
+from dual_ur10.envs.core.ends import early_end
+from dual_ur10.envs.core.options import MOVE_TO_START
+from dual_ur10.errors import ClosedError
+from dual_ur10.lerobot.positions import Positions
+from dual_ur10.policies.learned.signature import view_of_env
+from ur_core.processes.shared_memory import SharedBlock
+from ur_core.types import Array, Single
+
+Shapes = Mapping[str, tuple[int, ...]]
+
+_TARGET, _OBSERVED = 0, 1  # versions, which are odd while what they count is written
+_TRIES: Final = 1000
+
+
+class Exchange:
+    """Memory that the program and the process share: what is commanded, and what is observed. Nobody waits in it.
+
+    Args:
+        shapes: Shapes of "target", "observation" and "images".
+        name: Name of memory that exists; None: new memory.
+
+    Attributes:
+        name: Name under which the other process finds it.
+    """
+
+    def __init__(self, shapes: Shapes, name: str | None = None) -> None:
+        types: dict[str, type[np.generic]] = {"target": np.float32, "observation": np.float64, "images": np.uint8}
+        layout = {key: (types[key], shape) for key, shape in shapes.items()}
+        self._block = SharedBlock({"versions": (np.int64, (2,)), **layout}, name)
+        self._versions, self.name = self._block.counters("versions"), self._block.name
+
+    def _write(self, number: int, values: Mapping[str, NDArray[Any]]) -> None:
+        version = self._versions[number]
+        self._versions[number] = version + 1
+        for key, each in values.items():
+            self._block[key][...] = each
+        self._versions[number] = version + 2
+
+    def _read(self, number: int, *keys: str) -> list[NDArray[Any]] | None:
+        """Return copies of arrays that belong together; None: they are being written."""
+        before = self._versions[number]
+        found = [self._block[key].copy() for key in keys]
+        return None if before % 2 or self._versions[number] != before else found
+
+    def command(self, target: Single) -> None:
+        """Write what is commanded."""
+        self._write(_TARGET, {"target": target})
+
+    def commanded(self, before: Single) -> Single:
+        """Return what is commanded; `before`, if nothing is yet, or while it is written."""
+        found = self._read(_TARGET, "target") if self._versions[_TARGET] else None
+        return before if found is None else found[0]
+
+    def show(self, observation: Array, images: Sequence[NDArray[np.uint8]]) -> None:
+        """Write what is observed."""
+        values: dict[str, NDArray[Any]] = {"observation": observation}
+        self._write(_OBSERVED, {**values, "images": np.stack(images)} if images else values)
+
+    def observed(self) -> tuple[Array, list[NDArray[np.uint8]]]:
+        """Return what was observed last.
+
+        Raises:
+            ClosedError: Its writer ended while it wrote.
+        """
+        for _ in range(_TRIES):
+            found = self._read(_OBSERVED, "observation", "images")
+            if found is not None:
+                return found[0], list(found[1])
+            time.sleep(1e-4)
+        raise ClosedError("the process that moves the arms ended in mid-step: start them again")
+
+    def close(self) -> None:
+        """Release the memory."""
+        self._block.close()
+
+
+def run(
+    number: int, name: str, shapes: Shapes, env_id: str, keywords: Mapping[str, Any], cameras: Sequence[str]
+) -> None:
+    """Step an environment until the other end of a connection is closed; both arms then stop on their path.
+
+    Args:
+        number: Open file of the connection, which gets ("ready", None), ("confirm", question) or ("error", error).
+        name: Name of the `Exchange`.
+        shapes: Its shapes.
+        env_id: Id of the environment.
+        keywords: Its keywords.
+        cameras: Cameras whose images are observed.
+    """
+    with Connection(number) as connection:
+        env: DualArmEnv | None = None
+        try:
+            # Real arms ask a person, whom only the program can reach.
+            asked = {} if "confirm" in keywords else {"confirm": lambda text: _ask(connection, text)}
+            env = DualArmEnv(env_id, **{**asked, **keywords})
+            _step(env, Exchange(shapes, name), connection, cameras)
+        except (EOFError, BrokenPipeError):  # the program has ended, or needs the arms no more
+            pass
+        except BaseException as error:
+            _report(connection, error)
+        finally:
+            if env is not None:
+                env.close()
+
+
+def _ask(connection: Connection, text: str) -> bool:
+    connection.send(("confirm", text))
+    return bool(connection.recv())
+
+
+def _step(env: DualArmEnv, exchange: Exchange, connection: Connection, cameras: Sequence[str]) -> None:
+    core = env.core
+    positions, period_s = Positions(view_of_env(env)), core.timing.period_s
+
+    def show(observation: Any) -> Array:
+        state: Array = observation["state"] if cameras else observation
+        exchange.show(state, [observation["pixels"][each] for each in cameras])
+        return state
+
+    observation, _ = env.reset(seed=0, options={MOVE_TO_START: True})
+    action: Any = positions.action(positions.state(show(observation)[None])[0])
+    if positions.stroke_m is not None:
+        action[6::7] = 1.0  # as commanded: measured widths would creep
+    connection.send(("ready", None))
+    due = time.monotonic()
+    while not connection.poll():  # its only message is its end
+        if not core.setup.keeps_time:
+            due = max(due + period_s, time.monotonic())
+            time.sleep(max(0.0, due - time.monotonic()))
+        action = exchange.commanded(action)
+        observation, _, terminated, truncated, info = env.step(action)
+        show(observation)
+        if terminated or truncated:
+            raise ClosedError(f"the motion of both arms has ended: {early_end(info) or 'its time is over'}")
+    core.finish()
+
+
+def _report(connection: Connection, error: BaseException) -> None:
+    """Send an error, or its text if it cannot be sent."""
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        error = ClosedError(f"{type(error).__name__}: {error}")
+    with contextlib.suppress(OSError):
+        connection.send(("error", error))

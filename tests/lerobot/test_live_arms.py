@@ -1,0 +1,122 @@
+"""Arms and tasks as LeRobot's robots and environments have them, without LeRobot."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+
+from dual_ur10.errors import ActionError, ClosedError, LinkError, SettingsError, UnknownNameError
+from dual_ur10.lerobot.dataset_reader import read_dataset
+from dual_ur10.lerobot.features import ACTION, ENVIRONMENT_STATE, STATE
+from dual_ur10.lerobot.gym_view import LeRobotView
+from dual_ur10.lerobot.live_arms import LiveArms, LiveOperator
+from dual_ur10.policies.operators.device import Reading
+from tests.lerobot.conftest import STEPS
+
+
+class Lift:
+    """Two hands that lift both tools."""
+
+    name, hands = "lift", 2
+
+    def begin(self):
+        pass
+
+    def read(self):
+        twist = np.zeros((2, 6))
+        twist[:, 2] = 0.05
+        return Reading(twist=twist, clutch=np.ones(2, dtype=bool))
+
+    def close(self):
+        pass
+
+
+def until(reached, tries=1000):
+    """Wait for steps of the arms, of which each takes 40 ms."""
+    waiting = threading.Event()
+    for _ in range(tries):
+        if reached():
+            return True
+        waiting.wait(0.01)
+    return False
+
+
+def test_arms_hold_and_approach_what_is_commanded():
+    arms = LiveArms()
+    with pytest.raises(ClosedError, match="not started"):
+        arms.observation()
+    arms.start()
+    try:
+        start, observation, images = arms.observation()
+        assert (len(start), len(observation), images) == (14, 94, {})
+        goal = start.copy()
+        goal[[0, 12]] += 0.03  # a joint of each arm
+        arms.command(goal)
+        assert until(lambda: np.array_equal(np.delete(arms.observation()[0], [6, 13]), np.delete(goal, [6, 13])))
+        for bad in (goal[:13], np.full(14, np.nan)):
+            with pytest.raises(ActionError, match="expected are 14 finite numbers"):
+                arms.command(bad)
+        assert np.array_equal(np.delete(arms.observation()[0], [6, 13]), np.delete(goal, [6, 13]))
+        person = LiveOperator(arms, f"{__name__}:Lift")
+        found = person()
+        assert list(found) == list(arms.names)
+        assert found["left_gripper.pos"] == 1.0
+        assert 0.0 < np.abs(np.array(list(found.values())) - arms.observation()[0])[:6].max() < 0.01
+        person.close()
+    finally:
+        arms.stop()
+    arms.stop()
+    with pytest.raises(ClosedError):
+        arms.command(goal)
+
+
+def test_what_ends_the_motion_is_raised_by_the_next_call():
+    """Here the end of a task's time, and that of the process."""
+    arms = LiveArms("SineTracking", duration_s=0.4)
+    arms.start()
+    assert until(lambda: not arms.started)
+    with pytest.raises(ClosedError, match="the motion of both arms has ended: its time is over"):
+        arms.observation()
+    arms.stop()
+    arms = LiveArms()
+    arms.start()
+    arms._process.kill()
+    with pytest.raises(LinkError, match="the process that moves the arms has ended: start them again"):
+        arms.observation()
+    arms.stop()
+    with pytest.raises(UnknownNameError):
+        LiveArms("Nothing")
+
+
+def test_targets_of_a_dataset_lead_to_the_same_targets(made):
+    """A policy that has learned `action` is evaluated where it gives the recorded motion."""
+    dataset = read_dataset(made[1])
+    env = LeRobotView("Handover", randomization="mild", on_refusal="brake", episode_length=STEPS[0])
+    columns = dataset.episode(0)
+    observation, _ = env.reset(seed=7, options={"lerobot_new_rollout": True})
+    assert np.allclose(observation["agent_pos"], columns[STATE][0], atol=1e-6)
+    assert np.array_equal(observation["environment_state"], columns[ENVIRONMENT_STATE][0])
+    for step, action in enumerate(columns[ACTION][:-1]):
+        observation, _, _, truncated, info = env.step(action)
+        assert np.allclose(observation["agent_pos"], columns[STATE][step + 1], atol=1e-5), step
+        assert np.allclose(observation["environment_state"], columns[ENVIRONMENT_STATE][step + 1], atol=1e-3), step
+        assert not truncated
+    *_, truncated, info = env.step(columns[ACTION][-1])
+    assert (truncated, info["is_success"]) == (True, False)
+    assert (env.task_description, env._max_episode_steps) == ("Handover", STEPS[0])
+    env.close()
+
+
+def test_the_view_is_an_environment_of_gymnasium():
+    env = LeRobotView("SineTracking", cameras=("front",), width=48, height=32)
+    observation, _ = env.reset(seed=0)
+    assert env.observation_space.contains(observation)
+    assert observation["pixels"]["front"].dtype == np.uint8
+    assert env.observation_space.contains(env.step(observation["agent_pos"])[0])
+    assert env._max_episode_steps == 750
+    assert env.observation_space["pixels"]["front"].shape == (32, 48, 3)
+    env.close()
+    with pytest.raises(SettingsError, match="do not end: give them a length"):
+        LeRobotView("Free")

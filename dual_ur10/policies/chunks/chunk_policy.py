@@ -48,23 +48,30 @@ class ChunkPolicy(Protocol):
         """
 
 
-def checked_chunk(chunk: object, dt_s: object, action_mode: object, size: int, name: str) -> Array:
+def check_mode(action_mode: object, name: str) -> None:
+    """Check the meaning of the actions of a chunk policy.
+
+    Raises:
+        ChunkError: There is none such.
+    """
+    if action_mode not in CHUNK_MODES:
+        raise ChunkError(
+            f"action_mode of {name} is {action_mode!r:.80}: chunks are of {' or '.join(map(repr, CHUNK_MODES))}"
+        )
+
+
+def checked_chunk(chunk: object, dt_s: object, size: int, name: str) -> Array:
     """Return a chunk as (H, 2, size) numbers.
 
     Args:
         chunk: Returned by a chunk policy.
         dt_s: Its time between two actions.
-        action_mode: Its meaning of actions.
         size: Numbers of an arm.
         name: Name of the chunk policy, for messages.
 
     Raises:
         ChunkError: It is none.
     """
-    if action_mode not in CHUNK_MODES:
-        raise ChunkError(
-            f"action_mode of {name} is {action_mode!r:.80}: chunks are of {' or '.join(map(repr, CHUNK_MODES))}"
-        )
     if isinstance(dt_s, bool) or not isinstance(dt_s, numbers.Real) or not 1e-3 <= float(dt_s) <= 10.0:
         raise ChunkError(f"dt_s of {name} is {dt_s!r:.80}: it must be a time of 0.001 to 10 s between two actions")
     try:

@@ -17,7 +17,7 @@ import numpy as np
 
 from dual_ur10.errors import ChunkError
 from dual_ur10.policies.chunks.chunk_path import ChunkPath, Splicer
-from dual_ur10.policies.chunks.chunk_policy import ChunkPolicy, checked_chunk
+from dual_ur10.policies.chunks.chunk_policy import ChunkPolicy, check_mode, checked_chunk
 from dual_ur10.policies.policy import close_policy
 from ur_core.processes.child_process import Child, shorten_slice
 from ur_core.types import Array
@@ -64,7 +64,8 @@ class ChunkPlanner:
         """
         chunk = source.chunk(observation, time_s)
         dt_s, mode = source.dt_s, source.action_mode
-        rows = checked_chunk(chunk, dt_s, mode, self._size, self._name)
+        check_mode(mode, self._name)
+        rows = checked_chunk(chunk, dt_s, self._size, self._name)
         actions = rows[..., :6].reshape(-1, 12)
         if mode == "joint_position":
             path = ChunkPath(time_s + dt_s, dt_s, actions)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final, get_args
 from urllib.parse import parse_qs, urlsplit, urlunsplit
 
 import numpy as np
@@ -15,6 +15,7 @@ from dual_ur10.policies.chunks.chunk_policy import CHUNK_MODES, checked_chunk
 from dual_ur10.policies.chunks.executor import executor_for
 from dual_ur10.policies.remote.key_mapping import Mapped, WireMapping
 from dual_ur10.policies.remote.wire import MOST_BYTES, packed, unpacked
+from dual_ur10.sim2real.control.adapter import ActionMode
 from ur_core.tools.tool import strokes_m
 from ur_core.types import Array
 
@@ -57,7 +58,8 @@ class RemotePolicy:
         mapping = mapped.mapping
         dt_s = mapping.dt_s if mapping.dt_s is not None else self.metadata.get("dt_s")
         mode = mapping.action_mode or self.metadata.get("action_space")
-        if not isinstance(dt_s, int | float) or mode not in CHUNK_MODES:
+        modes = get_args(ActionMode) if self.metadata.get("action_horizon") == 1 else CHUNK_MODES
+        if not isinstance(dt_s, int | float) or mode not in modes:
             self.close()
             raise PolicyServerError(
                 f"{address} states dt_s {dt_s!r:.40} and action_space {mode!r:.40}: write dt_s and action_mode, "
@@ -201,7 +203,7 @@ class RemoteSteps:
 
     def _action(self, observation: Any) -> Array:
         found = self.source.chunk(observation, 0.0)
-        chunk = checked_chunk(found, self.source.dt_s, self.source.action_mode, self._size, self.__name__)
+        chunk = checked_chunk(found, self.source.dt_s, self._size, self.__name__)
         action: Array = chunk[0].reshape(-1).astype(np.float32)
         return action
 

@@ -58,6 +58,26 @@ def test_a_served_chunk_policy_is_executed_as_the_chunk_policy_itself():
     assert np.ptp(far.q_rad, axis=0).min() > 0.05
 
 
+class Lift:
+    """Policy of single Cartesian steps."""
+
+    def reset(self):
+        pass
+
+    def __call__(self, observation):
+        return np.tile([0.0, 0.0, 0.5, 0.0, 0.0, 0.0], 2)
+
+
+def test_single_actions_of_any_mode_are_served():
+    keywords = {"duration_s": 0.4, "action_mode": "tcp_delta"}
+    with server_of(f"{__name__}:Lift", SINE, keywords, port=0) as server:
+        env, policy = make(f"remote:{server.address}", SINE, **keywords)
+        far = rollout(env, policy, seed=0)
+        policy.close()
+    assert np.array_equal(far.q_rad, rollout(env, Lift(), seed=0).q_rad)
+    env.close()
+
+
 def client(address, **headers):
     return websockets.sync.client.connect(address, additional_headers=headers, compression=None, proxy=None)
 

@@ -61,9 +61,10 @@ def test_arms_wait_for_a_slow_first_chunk_and_then_move():
 
 def test_a_chunk_without_a_successor_ends_at_rest_on_its_path_and_the_next_one_moves_again():
     delays = itertools.chain([0.04, 3.0], itertools.repeat(0.04))
-    source = Sway(count=15)
+    source = Sway(count=15, amplitude_rad=0.45)
     arms = Arms(executor_of(source, latency_s=lambda: next(delays)))
     path = arms.run(6.0)
+    assert (np.array(arms.differences()) <= [1.2, 10.0, 2000.0]).all()
     last = source.q_rad(np.array([1.5]))[0]  # the last action of the first chunk
     resting = [k for k, q in enumerate(path) if np.abs(q - last).max() < 1e-6]
     assert len(resting) > 20

@@ -227,7 +227,8 @@ def _lengths(folder: Path, info: _DatasetInfo, columns: dict[str, NDArray[Any]])
             f"{folder} has {len(episodes)} frames, and meta/info.json states {info.total_frames}: a file is missing, "
             "or is of another dataset"
         )
-    lengths = np.bincount(episodes, minlength=info.total_episodes) if (episodes >= 0).all() else np.zeros(0, np.int64)
+    known = (episodes >= 0) & (episodes < min(info.total_episodes, len(episodes)))  # no number takes memory
+    lengths = np.bincount(episodes[known], minlength=min(info.total_episodes, len(episodes)))
     whole = np.repeat(np.arange(len(lengths)), lengths)
     if len(lengths) != info.total_episodes or not lengths.all() or not np.array_equal(whole, episodes):
         raise DatasetError(

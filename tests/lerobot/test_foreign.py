@@ -9,6 +9,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from dual_ur10.errors import DatasetError, DualUR10Error, RecordingError
 from dual_ur10.lerobot.dataset_reader import read_dataset
@@ -135,6 +137,42 @@ def test_a_dataset_that_is_not_as_it_states_is_refused(made, tmp_path, change, m
     change(tmp_path / "dataset")
     with pytest.raises(DatasetError, match=message):
         read_dataset(tmp_path / "dataset")
+
+
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(max_size=3),
+    lambda inner: st.lists(inner, max_size=2) | st.dictionaries(st.text(max_size=3), inner, max_size=2),
+    max_leaves=3,
+)
+
+
+@settings(max_examples=80)
+@given(data=st.data())
+def test_damage_of_any_kind_is_a_named_error(made, tmp_path_factory, data):
+    """Another value in a place of the description, or some other bytes in a table or a description."""
+    folder = tmp_path_factory.mktemp("damaged") / "dataset"
+    shutil.copytree(made[1], folder)
+    if data.draw(st.booleans()):
+        path = folder / "meta/info.json"
+        info = place = json.loads(path.read_text())
+        key = data.draw(st.sampled_from([*info]))
+        while isinstance(place[key], dict) and data.draw(st.booleans()):
+            place = place[key]
+            key = data.draw(st.sampled_from([*place]))
+        place[key] = data.draw(VALUES)
+        path.write_text(json.dumps(info))
+    else:
+        path = data.draw(st.sampled_from([table_of(folder), folder / "meta/info.json", folder / "meta/dual_ur10.json"]))
+        content = bytearray(path.read_bytes())
+        begin = data.draw(st.integers(0, len(content)))
+        content[begin : begin + data.draw(st.integers(0, 9))] = data.draw(st.binary(max_size=9))
+        path.write_bytes(content)
+    try:
+        read_dataset(folder)
+    except DatasetError:
+        pass
+    finally:
+        shutil.rmtree(folder)
 
 
 def test_a_shape_that_is_not_as_it_states_is_refused(made, tmp_path):

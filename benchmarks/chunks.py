@@ -52,6 +52,7 @@ from ur_core.kinematics.forward import elbow_flange_and_tcp
 ENV_ID = "DualUR10/SineTracking-v0"
 ROWS, EPISODE_S, LATEST_S, LOST = 16, 60.0, 0.7, 0.05
 ROUNDING = 1.0 + 1e-6
+LONGER_S = 35.0  # of planned motions, so that the last chunks are whole
 WORKER = Path(__file__).parent / "workers" / "chunk_server.py"
 
 
@@ -144,7 +145,7 @@ def virtual(episodes: int) -> dict[str, int]:
     for seed in range(episodes):
         with VirtualCell(task="SineTracking") as cell:
             env = cell.make(ENV_ID)
-            source = Planned(ENV_ID, seed=seed)
+            source = Planned(ENV_ID, seed=seed, duration_s=LONGER_S)
             rng = np.random.default_rng(seed)
             executor = executor_for(source, env.unwrapped.core.setup, latency_s=latency_of(rng), replan_s=0.0)
             record = rollout(env, executor, seed=seed)
@@ -188,7 +189,9 @@ def added_rms_mm(episodes: int) -> tuple[float, float]:
     jittered, far = [], []
     for seed in range(episodes):
         own = rms_mm("scripted", seed)
-        jittered.append(rms_mm(Planned(ENV_ID, seed=seed), seed, jitter_of(np.random.default_rng(seed))) - own)
+        jittered.append(
+            rms_mm(Planned(ENV_ID, seed=seed, duration_s=LONGER_S), seed, jitter_of(np.random.default_rng(seed))) - own
+        )
         with served(ENV_ID, "scripted", seed, 0.08, 10.0) as name:
             far.append(rms_mm(name, seed) - own)
     return float(np.max(jittered)), float(np.max(far))

@@ -29,7 +29,8 @@ class Late(Planned):
 
 def main(env_id: str, policy: str, seed: str, latency_s: str, actions: str, rate_hz: str) -> None:
     """Serve until the process ends."""
-    source = Late(env_id, policy, int(seed), 1.0 / float(rate_hz), int(actions))
+    longer = {"duration_s": 35.0} if "Sine" in env_id else {}  # so that the last chunks are whole
+    source = Late(env_id, policy, int(seed), 1.0 / float(rate_hz), int(actions), **longer)
     source.latency_s = float(latency_s)
     metadata = {
         "env_id": env_id,

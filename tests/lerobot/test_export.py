@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import gymnasium as gym
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
@@ -16,6 +17,7 @@ from dual_ur10.lerobot.dataset_reader import read_dataset
 from dual_ur10.lerobot.features import ACTION, ENV_ACTION, ENVIRONMENT_STATE, STATE
 from dual_ur10.lerobot.lerobot_export import runs_of, to_lerobot
 from dual_ur10.lerobot.resimulation import simulate_again
+from dual_ur10.policies.training.demonstrations import KEPT
 from dual_ur10.sim2real.recording.reader import read_run
 from tests.cli.command import run as command
 from tests.lerobot.conftest import STEPS, recorded
@@ -175,6 +177,21 @@ def test_what_cannot_be_exported_is_refused_and_leaves_nothing(made, tmp_path):
         assert [each for each in tmp_path.iterdir() if "dataset" in each.name] == []
     with pytest.raises(DatasetError, match="exists, and nothing is overwritten"):
         to_lerobot([run], folder)
+
+
+def test_kept_demonstrations_are_the_successful_ones(tmp_path):
+    """What a person kept, and nothing else, whatever the task itself reports."""
+    env = gym.make("dual_ur10:DualUR10/Free-v0", record=str(tmp_path / "runs"))
+    for number in range(3):
+        env.reset(seed=number)
+        for _ in range(2 + number):
+            env.step(env.action_space.sample() * 0.0)
+        if number:
+            env.unwrapped.core.note(KEPT, json.dumps({"episode": number, "success": number == 2}))
+    env.close()
+    found = to_lerobot(runs_of([tmp_path / "runs"]), tmp_path / "dataset", successful=True)
+    assert (found.episodes, found.frames) == (1, 4)
+    assert read_dataset(tmp_path / "dataset").columns["next.success"].tolist() == [False, False, False, True]
 
 
 def test_the_commands_export_and_import(made, tmp_path):

@@ -14,7 +14,7 @@ from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.errors import ChunkError, DualUR10Error, PolicyServerError, SettingsError
 from dual_ur10.policies import load, make, rollout
 from dual_ur10.policies.chunks.executor import ChunkExecutor
-from dual_ur10.policies.remote import remote_policy
+from dual_ur10.policies.remote import policy_server, remote_policy
 from dual_ur10.policies.remote.policy_server import PolicyServer
 from dual_ur10.policies.remote.remote_policy import RemoteSteps, connect
 from dual_ur10.policies.serving import server_of
@@ -155,9 +155,6 @@ def run_against(answers, metadata=OURS, **options):
         return policy, found, received
 
 
-HOME = [0.1] * 12
-
-
 @pytest.mark.parametrize(
     ("then", "error", "text"),
     [
@@ -183,6 +180,21 @@ def test_wrong_answers_are_errors_once_both_arms_rest(then, error, text):
     assert isinstance(found, error)
     assert re.search(text, str(found))
     assert policy.splices == 1
+
+
+def test_messages_that_are_too_large_are_not_read(monkeypatch):
+    monkeypatch.setattr(remote_policy, "MOST_BYTES", 1000)
+    policy, found, _ = run_against([chunk_of(np.zeros((100, 12)))])
+    assert isinstance(found, PolicyServerError)
+    assert "is gone" in str(found)
+    assert "1009" in str(found)
+    assert policy.splices == 0
+    monkeypatch.setattr(policy_server, "MOST_BYTES", 1000)
+    with server_of("learned", SINE, OPTIONS, port=0) as server, client(server.address) as one:
+        one.recv()
+        one.send(bytes(2000))
+        with pytest.raises(websockets.exceptions.ConnectionClosedError, match="1009"):
+            one.recv()
 
 
 def test_a_server_that_does_not_answer_is_given_up(tmp_path):

@@ -74,6 +74,8 @@ def as_policy(policy: object) -> Policy:
     lacking = [each for each in ("reset", "__call__") if not callable(getattr(policy, each, None))]
     if lacking or isinstance(policy, type):
         what = "a class, not an object of it" if isinstance(policy, type) else f"no {' and no '.join(lacking)}"
+        if callable(getattr(policy, "chunk", None)) and not isinstance(policy, type):
+            what = "a chunk policy, of which `make` makes a policy for an environment"
         raise PolicyError(
             f"{policy_name(policy)} is no policy: found {what}; a policy has reset() and takes an observation, or is a "
             "plain function of one"

@@ -4,7 +4,6 @@ import itertools
 import math
 import threading
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from hypothesis import given
@@ -17,6 +16,7 @@ from dual_ur10.errors import ChunkError, PolicyError, SettingsError
 from dual_ur10.policies import evaluate, load, make, rollout
 from dual_ur10.policies.chunks.executor import ChunkExecutor
 from dual_ur10.sim2real.control.limits import MotionLimits
+from dual_ur10.testing import check_policy
 from tests.policies.chunks.sources import Arms, Once, Portable, Sway
 
 LIMITS = MotionLimits(speed_rad_s=(1.2,) * 6, acceleration_rad_s2=10.0, jerk_rad_s3=2000.0, tcp_speed_m_s=1.5)
@@ -264,5 +264,5 @@ def test_what_is_no_chunk_policy_is_refused():
         make(Sway(), "SineTracking", action_mode="tcp_delta")
     with pytest.raises(SettingsError, match="latency_s is -1"):
         executor_of(Sway(), latency_s=-1)
-    with pytest.raises(PolicyError):
-        rollout(gym.make("DualUR10/SineTracking-v0"), object())
+    with pytest.raises(PolicyError, match="found a chunk policy, of which `make` makes a policy"):
+        check_policy(Sway(), "SineTracking")

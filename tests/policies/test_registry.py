@@ -66,7 +66,7 @@ def test_a_class_of_ones_own_gets_the_arguments_that_it_takes(own):
     [
         ("no_such_module_here:Policy", SettingsError, "No module named 'no_such_module_here'"),
         ("my_policies:Absent", SettingsError, "has no attribute 'Absent'"),
-        ("my_policies:Scaled", SettingsError, "whose arguments are optional, or, for an environment, among timing"),
+        ("my_policies:Scaled", SettingsError, "or, for an environment, among task, timing"),
         ("my_policies:NoPolicy", PolicyError, "it must have `reset"),
         ("psychic", UnknownNameError, "module:Class"),
     ],

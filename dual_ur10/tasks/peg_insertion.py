@@ -198,7 +198,7 @@ class PegInsertion(ur.GraspingTask[PegSettings, PegFacts]):
     @classmethod
     def requirements(cls, settings: PegSettings) -> ur.SceneRequirements:
         """Return the scene: two grippers, the peg and the plate."""
-        near = ur.Camera("near", position_m=(0.5, 0.4, 0.45), target_m=(0.0, 0.05, 0.2))
+        near = ur.Camera("near", position_m=(0.85, 0.25, 0.7), target_m=(-0.05, 0.0, 0.12))
         props = peg(settings.chamfer_m), plate(settings.clearance_m)
         equipment = ur.Equipment(grippers=True, props=props, grip_force_n=200.0, cameras=(near,))
         return ur.SceneRequirements(equipment, timestep_s=0.001, gains=ur.COMPLIANT, closer=ur.PICKING)

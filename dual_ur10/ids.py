@@ -46,7 +46,7 @@ _FOLLOWER = f"{_SCRIPTED}.goal_follower:GoalFollower"
 _SETTINGS = "dual_ur10.policies.training.settings"
 
 
-def _entry(task: str, scripted: str, training: str) -> TaskEntry:
+def _entry(task: str, scripted: str, training: str, *, learned: bool = True) -> TaskEntry:
     """Return the entry of a task that is one file of `dual_ur10.tasks`, whose goals lead through all stages."""
     module = task.partition(":")[0]
     return TaskEntry(
@@ -56,6 +56,7 @@ def _entry(task: str, scripted: str, training: str) -> TaskEntry:
             "tcp_delta": _FOLLOWER,
         },
         training=f"{_SETTINGS}:{training}",
+        learned={"learned": f"{_LEARNED}:learned_policies/{module}"} if learned else {},
     )
 
 
@@ -88,7 +89,7 @@ TASKS: Final = {
         learned={"learned": f"{_LEARNED}:learned_policies/handover"},
     ),
     "DualUR10/Free-v0": TaskEntry(task=f"{_TASKS}.free.task:Free"),
-    "DualUR10/PegInsertion-v0": _entry("peg_insertion:PegInsertion", "PegScript", "PEG_INSERTION"),
+    "DualUR10/PegInsertion-v0": _entry("peg_insertion:PegInsertion", "PegScript", "PEG_INSERTION", learned=False),
     "DualUR10/TrayBalance-v0": _entry("tray_balance:TrayBalance", "TrayScript", "TRAY_BALANCE"),
     "DualUR10/BoxLift-v0": TaskEntry(
         task="dual_ur10.tasks.box_lift:BoxLift", scripted={"": "dual_ur10.tasks.box_lift:BoxScript"}

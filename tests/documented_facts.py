@@ -86,7 +86,7 @@ def _of_card(folder: str, name: str) -> list[tuple[str, str]]:
             rf'^\| default \| random \("mild"\) \|.*\| (?P<{name}_mild_mm>\S+) mm',
             rf"^\| default \| nominal \|.*\| (?P<{name}_nominal_mm>\S+) mm",
         ]
-    else:
+    elif name != "lid":
         patterns += [_ROW.format(r'random \("wide"\)', *[f"{name}_wide"] * 2)]
     if name != "handover":
         patterns += [rf"^\| made with \|.* (?P<{name}_memory>\S+ GiB)"]
@@ -98,6 +98,7 @@ def _of_card(folder: str, name: str) -> list[tuple[str, str]]:
 
 SOURCES += _of_card("sine_tracking", "sine") + _of_card("sine_tracking_two_agents", "agents")
 SOURCES += _of_card("sync_carry", "carry") + _of_card("handover", "handover")
+SOURCES += _of_card("tray_balance", "tray") + _of_card("lid_and_place", "lid")
 
 
 def measured() -> dict[str, str]:
@@ -112,7 +113,7 @@ def measured() -> dict[str, str]:
         if found is None:
             raise LookupError(f"{source} states nothing of this form; adapt it, or remove its sentences: {pattern}")
         facts |= {name: " ".join(each.split()) for name, each in found.groupdict().items()}
-    minutes = sorted(int(facts[f"{name}_min"]) for name in ("sine", "agents", "carry", "handover"))
+    minutes = sorted(int(facts[f"{name}_min"]) for name in ("sine", "agents", "carry", "handover", "tray", "lid"))
     return facts | {"least_min": str(minutes[0]), "most_min": str(minutes[-1])}
 
 
@@ -249,7 +250,10 @@ STATEMENTS = [
         README,
         "{sine_paths} of 300 episodes (sine, on any path), {carry_mild} of 300 (carry), {handover_mild} of 300",
     ),
-    (README, "(handover); {least_min} to {most_min} min of training |"),
+    (
+        README,
+        "(handover), {tray_mild} of 300 (tray), {lid_mild} of 300 (lid); {least_min} to {most_min} min of training |",
+    ),
     (
         README,
         "{steps_s} steps/s. In a second of processor time, {least_peer} to {most_peer} times as many simulated seconds",
@@ -301,6 +305,12 @@ STATEMENTS += [
     (TRAIN, "| {carry_mild} / {carry_nominal} | | {carry_min} min, {carry_memory} |"),
     (TRAIN, '| Handover, trained on "wide" plants; there {handover_wide} | {handover_mild} / {handover_nominal} |'),
     (TRAIN, "| {handover_mild} / {handover_nominal} | | {handover_min} min |"),
+    (
+        TRAIN,
+        '| TrayBalance, `tcp_delta`; on "wide" plants {tray_wide} | {tray_mild} / {tray_nominal} | | {tray_min} min, '
+        "{tray_memory} |",
+    ),
+    (TRAIN, "| LidAndPlace, `tcp_delta` | {lid_mild} / {lid_nominal} | | {lid_min} min, {lid_memory} |"),
     (BENCHMARKS, "| `learned` | mild | {carry_mild} of 300 | {carry_mild_ci} | {carry_min} min, {carry_memory} |"),
     (BENCHMARKS, "| `learned` | wide | {carry_wide} of 300 | {carry_wide_ci} | | | PPO"),
     (BENCHMARKS, "| `learned` | mild | {handover_mild} of 300 | {handover_mild_ci} | {handover_min} min |"),

@@ -18,6 +18,7 @@ from tests.soak import SOAK
 
 ALL = [(name, env_id) for env_id in dual_ur10.ENV_IDS for name in shipped_names(env_id)]
 KEYWORDS = {"action_latency_ticks": 5}
+MODES = {"DualUR10/TrayBalance-v0": "tcp_delta", "DualUR10/LidAndPlace-v0": "tcp_delta"}
 
 
 def test_shipped_policies_cover_one_agent_and_two():
@@ -43,15 +44,16 @@ def test_the_card_agrees_with_the_manifest(name, env_id):
 
 @pytest.mark.parametrize(("name", "env_id"), ALL)
 def test_a_shipped_policy_loads_by_name_and_acts(name, env_id):
-    policy = policies.load(name, env_id, **KEYWORDS)
-    env = gym.make(env_id, **KEYWORDS)
+    mode = {"action_mode": MODES[env_id]} if env_id in MODES else {}
+    policy = policies.load(name, env_id, **KEYWORDS, **mode)
+    env = gym.make(env_id, **KEYWORDS, **mode)
     observation, _ = env.reset(seed=0)
     for _ in range(3):
         observation, *_ = env.step(policy(observation))
     env.close()
     assert np.isfinite(observation).all()
     with pytest.raises(CheckpointError, match="latency_ticks"):
-        policies.load(name, env_id)
+        policies.load(name, env_id, **mode)
 
 
 @pytest.mark.parametrize(("name", "env_id"), ALL)

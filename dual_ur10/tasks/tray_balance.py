@@ -262,12 +262,14 @@ class TrayBalance(ur.GraspingTask[TraySettings, TrayFacts]):
         moved_m_s = (at_m - self.at_m) / np.maximum(elapsed_s, 1e-6)
         self.speed_m_s += SMOOTH * (elapsed_s > 0.0) * (moved_m_s - self.speed_m_s)
         self.level_rad = (self.level_rad + LEVEL_RAD_M_S * lifted_s * at_m).clip(-TILT_RAD, TILT_RAD)
-        self.at_m = at_m
+        begun = state.time_s[:, None] == 0.0  # a row that is seen again, as others begin, may be sensed otherwise
+        self.at_m = np.where(begun | (elapsed_s > 0.0), at_m, self.at_m)
         return {BALL_SPEED.name: self.frames.vector_to_base(self.speed_m_s[:, None].clip(-2.0, 2.0))}
 
     def lead(self, state: ur.CellState, measured: ur.Grasped) -> ur.Lead:
         """Return the goals: the tray above where it lay, tilted until the ball is in its middle, then its goal."""
-        (tray, _, goal), ball_m = (state.objects[name] for name in self.observed), self.at_m
+        tray, ball, goal = (state.objects[name] for name in self.observed)
+        ball_m = ball.position_m - tray.position_m
         lifted = tray.position_m[:, 2:] > LIFTED_M
         tilt_rad = lifted * (POSITION_GAIN * ball_m + SPEED_GAIN * self.speed_m_s + self.level_rad)
         x, y, _ = tilt_rad.clip(-TILT_RAD, TILT_RAD).T

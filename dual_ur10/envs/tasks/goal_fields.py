@@ -33,7 +33,7 @@ GOAL_FIELDS: Final = (
     Field("lag_rotation_saturated", 3, -1.0, 1.0, "ratio", f"rotation of this step, {_TURN}", concise=(1.0,)),
     Field("between", 1, 0.0, 1.0, "0 or 1", "1 if the grip of the object is between the fingers", concise=(0.2,)),
     Field("opening", 1, -1.2, 1.2, "ratio", "opening of the gripper, of the largest", concise=(0.5,)),
-    Field("goal_opening", 1, 0.0, 1.0, "0 or 1", "goal of the gripper: 0 closed, 1 open", concise=(0.2,)),
+    Field("goal_opening", 1, 0.0, 1.0, "ratio", "goal of the gripper: 0 closed, 1 open", concise=(0.2,)),
     Field(
         "goal_closeness",
         2,

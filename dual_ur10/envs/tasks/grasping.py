@@ -77,9 +77,10 @@ class GraspingTask(StagedTask[SettingsT, Grasped, NowT], Generic[SettingsT, NowT
     those of bodies that are gripped. The observation of an arm has the fields of every task, the width of its gripper,
     the wrench of the object on it, the pose of each observed prop in its own `base` frame, in the fields
     `<prop>_base_m` and `<prop>_base_quat`, the fields of `further`, and those that lead its tool to its grip,
-    `dual_ur10.envs.tasks.goal_fields.GOAL_FIELDS`. `observation="goals"` shows the poses, and what leads to the grips.
-    The settings have a `duration_s`. In the docstring of a subclass, lines that hold `{actions}`, `{observations}` or
-    `{arguments}` alone become these tables.
+    `dual_ur10.envs.tasks.goal_fields.GOAL_FIELDS`. Its goal of the gripper is near the present opening while fingers
+    touch or leave an object: at full speed one of them strikes it. `observation="goals"` shows the poses, and what
+    leads to the grips. The settings have a `duration_s`. In the docstring of a subclass, lines that hold `{actions}`,
+    `{observations}` or `{arguments}` alone become these tables.
 
     Attributes:
         grips: Grips of the left and the right arm.
@@ -134,7 +135,7 @@ class GraspingTask(StagedTask[SettingsT, Grasped, NowT], Generic[SettingsT, NowT
         )
         self._strokes_m = np.array(strokes_m(tools))[:, None]
         self.elapsed_s, self._observed_s = np.zeros(n), np.zeros(n)
-        self._held, self._fists = [first, second], np.array([grip.width_m == 0.0 for grip in self.grips])
+        self._held = [first, second]
         goals = [
             Goal(frame, grip.tool, approached=True) for frame, grip in zip((first, second), self.grips, strict=True)
         ]
@@ -230,12 +231,12 @@ class GraspingTask(StagedTask[SettingsT, Grasped, NowT], Generic[SettingsT, NowT
         # Fingers close where the tool has arrived; those that have begun to go on at a larger error.
         within = np.where(measured.between & (measured.cleared < 1.0), KEEP, 1.0)
         closes = np.where(grips, measured.between & (found.away < within), False if lead is None else lead.closed)
-        values = gripper_values(measured.between, closes | self._fists, gripper_m, self._strokes_m)
+        values = gripper_values(measured.between, closes, gripper_m, self._strokes_m)
         # Fingers touch an object slowly, and leave it slowly: at full speed one of them strikes it.
         opened = values["opening"][..., 0]
-        slowly = measured.between & ~self._fists & np.where(closes, ~measured.holding, measured.cleared < 1.0)
+        slowly = measured.between & np.where(closes, ~measured.holding, measured.cleared < 1.0)
         ahead = (opened + np.where(closes, -SLOW, SLOW)).clip(0.0, 1.0)
-        values["goal_opening"] = np.where(slowly, ahead, ~(closes | self._fists))[..., None]
+        values["goal_opening"] = np.where(slowly, ahead, ~closes)[..., None]
         return {**goal_values(found, steps.nearby), **values}
 
 

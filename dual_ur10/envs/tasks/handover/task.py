@@ -202,7 +202,7 @@ class Handover(StagedTask[HandoverSettings, HandoverMeasured, Facts]):
     | 71-73 | rotation of this step, saturated: x / (0.03 + abs(x)) | -1 | 1 | - | ratio |
     | 74 | 1 if the grip of the object is between the fingers | 0 | 1 | - | 0 or 1 |
     | 75 | opening of the gripper, of the largest | -1.2 | 1.2 | - | ratio |
-    | 76 | goal of the gripper: 0 closed, 1 open | 0 | 1 | - | 0 or 1 |
+    | 76 | goal of the gripper: 0 closed, 1 open | 0 | 1 | - | ratio |
     | 77-78 | 0.01 m / (0.01 m + path left to the goal), and 0.03 / (0.03 + rotation left) | 0 | 1 | - | ratio |
 
     An agent of the two-agent environment observes its arm's numbers.
@@ -223,7 +223,7 @@ class Handover(StagedTask[HandoverSettings, HandoverMeasured, Facts]):
     | 24-26 | rotation of this step, saturated: x / (0.03 + abs(x)) | -1 | 1 | - | ratio in 1 |
     | 27 | 1 if the grip of the object is between the fingers | -1 | 1 | - | 0 or 1 in 0.2 |
     | 28 | opening of the gripper, of the largest | -1 | 1 | - | ratio in 0.5 |
-    | 29 | goal of the gripper: 0 closed, 1 open | -1 | 1 | - | 0 or 1 in 0.2 |
+    | 29 | goal of the gripper: 0 closed, 1 open | -1 | 1 | - | ratio in 0.2 |
     | 30-31 | 0.01 m / (0.01 m + path left to the goal), and 0.03 / (0.03 + rotation left) | -1 | 1 | - | ratio in 0.5 |
 
     ## Rewards

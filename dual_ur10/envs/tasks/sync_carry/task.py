@@ -135,7 +135,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
     | 77-79 | rotation of this step, saturated: x / (0.03 + abs(x)) | -1 | 1 | - | ratio |
     | 80 | 1 if the grip of the object is between the fingers | 0 | 1 | - | 0 or 1 |
     | 81 | opening of the gripper, of the largest | -1.2 | 1.2 | - | ratio |
-    | 82 | goal of the gripper: 0 closed, 1 open | 0 | 1 | - | 0 or 1 |
+    | 82 | goal of the gripper: 0 closed, 1 open | 0 | 1 | - | ratio |
     | 83-84 | 0.01 m / (0.01 m + path left to the goal), and 0.03 / (0.03 + rotation left) | 0 | 1 | - | ratio |
 
     An agent of the two-agent environment observes its arm's numbers.
@@ -156,7 +156,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
     | 23-25 | rotation of this step, saturated: x / (0.03 + abs(x)) | -1 | 1 | - | ratio in 1 |
     | 26 | 1 if the grip of the object is between the fingers | -1 | 1 | - | 0 or 1 in 0.2 |
     | 27 | opening of the gripper, of the largest | -1 | 1 | - | ratio in 0.5 |
-    | 28 | goal of the gripper: 0 closed, 1 open | -1 | 1 | - | 0 or 1 in 0.2 |
+    | 28 | goal of the gripper: 0 closed, 1 open | -1 | 1 | - | ratio in 0.2 |
     | 29-30 | 0.01 m / (0.01 m + path left to the goal), and 0.03 / (0.03 + rotation left) | -1 | 1 | - | ratio in 0.5 |
 
     ## Rewards

@@ -8,7 +8,7 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn, cast
 
 import numpy as np
 from gymnasium import spaces
@@ -30,7 +30,7 @@ from dual_ur10.errors import (
     ResetNeededError,
     TaskError,
 )
-from dual_ur10.sim2real.cell.cell import Cell, CellState, CellStep
+from dual_ur10.sim2real.cell.cell import Cell, CellState, CellStep, Start
 from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.cell.named_cell import make_cell
 from dual_ur10.sim2real.control.adapter import Command
@@ -42,6 +42,8 @@ from ur_core.objects import load_object
 from ur_core.types import Array, Mask, Rows
 
 if TYPE_CHECKING:
+    from dual_ur10.envs.core.starts import MixedStarts
+    from dual_ur10.envs.tasks.staged import StagedTask
     from dual_ur10.sim2real.control.coupling import Coupling
 
 log = logging.getLogger(__name__)
@@ -189,6 +191,11 @@ class Core:
             proximity=proximity,
         )
         self.task = setup.make_task(n)
+        self._mixed: MixedStarts | None = None
+        if setup.options.starts:
+            from dual_ur10.envs.core.starts import MixedStarts
+
+            self._mixed = MixedStarts(setup)
         self._clearance = clearance
         self._coupling: Coupling | None = None
         if self.task.couples:
@@ -270,9 +277,18 @@ class Core:
         Raises:
             ResetNeededError: There was no reset yet.
         """
+        return self.state.time_s.copy()
+
+    @property
+    def state(self) -> CellState:
+        """True state of all cells at the last observation, in arrays that belong to the cell.
+
+        Raises:
+            ResetNeededError: There was no reset yet.
+        """
         if self._state is None:
             raise ResetNeededError("there is no observation before the first reset: call reset() first")
-        return self._state.time_s.copy()
+        return self._state
 
     @property
     def timing(self) -> Timing:
@@ -310,12 +326,11 @@ class Core:
         if self._hook is not None:
             self._hook.resetting(rngs, seed)
         self._started = (rows, copy.deepcopy(list(rngs))) if self.keeps_start else None
-        self.task.forget_load(rows)
-        start = self.task.start(rows, rngs)
+        start = self._begin(rows, rngs)
         sampled = {} if self._randomization.is_none else self._randomization.sample(rngs, len(self._sensing.tracked))
         seeds = [int(rng.integers(2**31)) for rng in rngs]
         self._clearance.check_start(start.q_rad)
-        self.pipeline.reset(start.q_rad, rows, start.gripper_m)
+        self.pipeline.reset(start.q_rad, rows, start.widths_m)
         self._refused[rows] = False
         self._braking -= set(rows.tolist())
         plant = apply_sample({name: value[rows] for name, value in self._plant.items()}, sampled)
@@ -324,7 +339,7 @@ class Core:
         except DualUR10Error as error:
             self.note("fault" if isinstance(error, CellFaulted) else "not begun", str(error))
             raise
-        self._continue_from_stop(begun, start.gripper_m)
+        self._continue_from_stop(begun, start.widths_m)
         state = begun.state
         self._sensing.reset(state, rows, seeds, sampled)
         sensed = state if self._sensing.is_exact else self._sensing.begun(state)
@@ -344,6 +359,13 @@ class Core:
         if self._hook is not None:
             self._hook.reset(self.agents.joint, state, info.get("randomization", {}))
         return self.agents.joint, info
+
+    def _begin(self, rows: Rows, rngs: Sequence[np.random.Generator]) -> Start:
+        """Begin episodes of the task, and return their starts."""
+        self.task.forget_load(rows)
+        if self._mixed is None:
+            return self.task.start(rows, rngs)
+        return self._mixed.begin(cast("StagedTask[Any, Any, Any]", self.task), rows, rngs)
 
     def step(self, action: object) -> Step:
         """Advance all cells by one policy period.
@@ -549,8 +571,7 @@ class Core:
         info = self.task.evaluate(self._state, self.task.measure(self._state)).info
         # An evaluation counts as a step, so that the episode begins again, with the same random numbers.
         rows, rngs = self._started
-        self.task.forget_load(rows)
-        self.task.start(rows, copy.deepcopy(rngs))
+        self._begin(rows, copy.deepcopy(rngs))
         for name in self.task.per_arm:
             shape = info[name].shape if name in info else None
             if shape is None or shape[1:2] != (2,):

@@ -89,6 +89,10 @@ class EnvOptions:
         camera: Camera of `render`, by one of the same names or a `Camera`.
         width, height: Size in pixels of images, both rendered and observed.
         shadows: Render shadows and reflections; see `dual_ur10.envs.rendering.images.Renderer`.
+        starts: Ratios of the episodes that begin, at rest, in a state of the scripted policy after a stage, by the names
+            of the task's stages: {"lift": 0.2} begins a fifth of them after `lift`. For training, in simulation alone;
+            the others begin as always. None: all do.
+        until: Stage whose passing is the success of an episode, so that later stages earn nothing; None: the last one.
         confirm: Function that is called on two controllers with a text before the arms move to the start of an episode;
             it returns True to permit the motion. Later resets then need no other consent. None: real arms ask for a
             confirmation at the terminal, emulated ones do not.
@@ -122,6 +126,8 @@ class EnvOptions:
     width: int = 640
     height: int = 480
     shadows: bool = False
+    starts: Mapping[str, float] | None = None
+    until: str | None = None
     confirm: Callable[[str], bool] | None = None
     arm: str | None = None
     record: str | os.PathLike[str] | None = None
@@ -172,6 +178,8 @@ class EnvOptions:
             raise UnknownNameError("reward", str(self.reward), get_args(RewardForm))
         if self.reward_weights is not None:
             object.__setattr__(self, "reward_weights", _checked_weights(self.reward_weights, self.reward))
+        if self.starts is not None:
+            object.__setattr__(self, "starts", _checked_starts(self.starts))
         if not isinstance(self.cameras, str | Camera | tuple | list):
             raise SettingsError(f"cameras are {self.cameras!r}: name one, or several in a tuple")
         cameras = (self.cameras,) if isinstance(self.cameras, str | Camera) else tuple(self.cameras)
@@ -249,6 +257,19 @@ def _checked_weights(weights: object, reward: str) -> dict[str, float]:
         if isinstance(value, bool) or not isinstance(value, numbers.Real) or not math.isfinite(value):
             raise SettingsError(f"reward_weights[{name!r}] is {value!r}: it must be a finite number")
     return {name: float(value) for name, value in weights.items()}
+
+
+def _checked_starts(starts: object) -> dict[str, float]:
+    """Return ratios of starts as plain floats."""
+    if not isinstance(starts, Mapping) or not starts:
+        raise SettingsError(f"starts are {starts!r:.200}: they must be a mapping, such as {{'lift': 0.2}}, or None")
+    for name, value in starts.items():
+        if isinstance(value, bool) or not isinstance(value, numbers.Real) or not 0.0 < value <= 1.0:
+            raise SettingsError(f"starts[{name!r}] is {value!r}: it must be a number above 0 and at most 1")
+    found = {name: float(value) for name, value in starts.items()}
+    if sum(found.values()) > 1.0 + 1e-9:
+        raise SettingsError(f"starts add up to {sum(found.values()):g}: 1 is every episode")
+    return found
 
 
 def _check_about(about: object) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import numpy as np
 
@@ -23,6 +23,9 @@ from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.limits import MotionLimits
 from ur_core.objects import load_object
 from ur_core.processes.system import LOCAL, System
+
+if TYPE_CHECKING:
+    from dual_ur10.envs.tasks.staged import StagedTask
 
 REFUSAL: Final = "refusal"
 """Reward term of a step in which the safety gate refuses a motion, and none in the step before."""
@@ -129,9 +132,30 @@ class EnvSetup:
             latency_ticks=latency_ticks,
             timing=Timing(period_s, period_s + latency_ticks * tick_s),
         )
+        setup._check_stages()
         if options.reward_weights:
             _ = setup.weights  # an unknown term is refused before anything is made
         return setup
+
+    def _check_stages(self) -> None:
+        """Check the stages that `starts` and `until` name."""
+        options = self.options
+        if not options.starts and options.until is None:
+            return
+        stages = self.task_type.stages if hasattr(self.task_type, "end_after") else ()
+        named = {"starts": list(options.starts or ()), "until": [] if options.until is None else [options.until]}
+        for keyword, names in named.items():
+            if names and not stages:
+                raise SettingsError(f"{keyword} names the stage {names[0]!r}, and {self.env_id} has none: leave it out")
+            last = stages.index(options.until) if options.until in stages else len(stages) - 1
+            allowed = stages if keyword == "until" else stages[:last]  # the last stage ends an episode
+            unknown = next((name for name in names if name not in allowed), None)
+            if unknown is not None:
+                raise UnknownNameError(f"stage of {self.env_id} in {keyword}", str(unknown), list(allowed))
+        if options.starts and (self.config.controllers or self.config.state_is_commanded):
+            raise SettingsError(
+                "starts are states of a simulation, in which an object is held already: leave them out with this cell"
+            )
 
     @property
     def keeps_time(self) -> bool:
@@ -177,7 +201,10 @@ class EnvSetup:
         Raises:
             SettingsError: Or one of its kinds: the arms cannot do it in this cell.
         """
-        return self.task_type(self.settings, self.config, self.timing, n)
+        task = self.task_type(self.settings, self.config, self.timing, n)
+        if self.options.until is not None:
+            cast("StagedTask[Any, Any, Any]", task).end_after(self.options.until)
+        return task
 
     def make_clearance(self) -> Clearance:
         """Make the distances that the safety gate measures in this cell, as near as the task allows.

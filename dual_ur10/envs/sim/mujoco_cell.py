@@ -98,7 +98,7 @@ class MujocoCell:
                 self._values[name][rows] = value
             self._perturb(rows)
         physics.reset(start, rows)
-        self._queue.reset(q, rows, start.gripper_m)
+        self._queue.reset(q, rows, start.widths_m)
         self._delay.reset(q, rows, [0] * len(rows) if seeds is None else seeds)
         if self._scaled is not None:
             self._scaled.reset(q, rows)

@@ -167,11 +167,14 @@ class Physics:
         self._batch.reset(ids=rows, stage=0)
         self._arms_q[rows] = np.asarray(start.q_rad, dtype=np.float64).reshape(-1, 2, 6)
         if self._handling is not None and self._grippers is not None:
-            self._held_m[rows] = self._handling.reset(start, rows)
+            opening_m = self._handling.reset(start, rows)
+            self._held_m[rows] = opening_m if start.commanded_m is None else start.commanded_m
             self._grippers.reset(self._held_m[rows], rows)
         self._props.reset(start, rows)
         self._forward(rows)
-        self._payload[rows] = 0.0
+        payload_kg = self._payload.copy()  # that of the command before may be the task's
+        payload_kg[rows] = 0.0 if start.payload_kg is None else start.payload_kg
+        self._payload = payload_kg
         self._good = self._integration.copy()
         self.failed[rows] = False
 

@@ -167,6 +167,7 @@ class StagedTask(Task[SettingsT, MeasuredT], Generic[SettingsT, MeasuredT, NowT]
         self._loads_kg: Array = np.array([(0.0, 0.0) if each is None else each for each in (*loads, loads[-1])])
         self._declares = any(each is not None for each in loads)
         self._coupled: Mask = np.array([*(each.coupled for each in marks), marks[-1].coupled])
+        self._last, self._worth = len(marks), 1.0  # stages that success needs, and the weight of `FINISH`
         self.passed = np.zeros(n, dtype=np.int64)
         self.first = np.zeros(n, dtype=np.int64)
         self._arms: Rows = np.arange(2 * n).reshape(n, 2)  # of each role, among the arms of all rows; and back
@@ -180,6 +181,28 @@ class StagedTask(Task[SettingsT, MeasuredT], Generic[SettingsT, MeasuredT, NowT]
         self._roles = self._arms.T.copy()
         for values in (self.passed, self._count, self._settled):
             values[rows] = 0
+
+    def end_after(self, name: str) -> None:
+        """Let the condition of this stage end episodes with success; later ones earn nothing.
+
+        `FINISH` replaces what the stages up to this one earn in each step.
+
+        Args:
+            name: One of `stages`.
+        """
+        self._last = self.stages.index(name) + 1
+        earned = sum(self.weights[each] for each in self.stages[: self._last])
+        self._worth = 1.0 if self._last == len(self.stages) else earned
+
+    def skip(self, rows: Rows, passed: Rows) -> None:
+        """Let episodes that have just begun in `rows` continue from where these numbers of stages are passed.
+
+        The load of these stages is declared already. A task that keeps more of an earlier stage extends it.
+        """
+        self.passed[rows] = passed
+        load_kg = self.load_kg()
+        if load_kg is not None:
+            self._declared_kg[rows] = load_kg[rows]
 
     def by_role(self, values: NDArray[Any] | tuple[Number, Number]) -> tuple[Number, Number]:
         """Return values of the left and the right arm, (n, 2) or two numbers, as those of first and second role."""
@@ -235,7 +258,7 @@ class StagedTask(Task[SettingsT, MeasuredT], Generic[SettingsT, MeasuredT, NowT]
             terminal = ended | lost
             success = done & ~lost & (ended | over)
             spared = np.maximum(self._steps - self._count, 0) * (ended & ~lost)
-            terms[..., -1] = (spared * self.quality(now))[:, None]
+            terms[..., -1] = (spared * self.quality(now) * self._worth)[:, None]
         info: dict[str, Any] = {"stage": self.passed.copy(), **self.values(measured)}
         return Outcome(terms, success, over & ~terminal, info, terminal)
 
@@ -244,8 +267,8 @@ class StagedTask(Task[SettingsT, MeasuredT], Generic[SettingsT, MeasuredT, NowT]
         passed, count = self.passed, len(self._stages)
         progress, done = np.zeros((self.n, 2, count)), np.zeros(self.n, dtype=bool)
         least, most = self._passed_by_rows()
-        for number, method in enumerate(self._stages):
-            last = number == count - 1 and most == count
+        for number, method in enumerate(self._stages[: self._last]):
+            last = number == self._last - 1 and most == self._last
             if not (least <= number <= most or last or self._early[number]):
                 continue  # no row is at this stage, or comes to it in this step
             condition, both = method(self, now)
@@ -254,8 +277,8 @@ class StagedTask(Task[SettingsT, MeasuredT], Generic[SettingsT, MeasuredT, NowT]
                 least, most = self._passed_by_rows()
             first, second = both if isinstance(both, tuple) else (both, both)
             progress[:, 0, number], progress[:, 1, number] = first, second
-            if number == count - 1:
-                done = condition & (passed == count)
+            if number == self._last - 1:
+                done = condition & (passed == self._last)
         progress *= self._due.take(passed, axis=0)
         progress += self._earned.take(passed, axis=0)
         if self._further:

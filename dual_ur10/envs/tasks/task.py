@@ -198,6 +198,11 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
         self._declared_kg = self._declared_kg + step
         return self._declared_kg
 
+    @property
+    def declared_kg(self) -> Array:
+        """Payload declared last, (n, 2)."""
+        return self._declared_kg.copy()
+
     def forget_load(self, rows: Rows) -> None:
         """Declare no load at the begin of episodes in `rows`. The stepping core calls it before `start`."""
         self._declared_kg = self._declared_kg.copy()

@@ -71,6 +71,9 @@ class Start(NamedTuple):
             One that is left out is where its MJCF has it; then that states a `pos`.
         joints: Positions of the props' joints by their names, (k,) each; one that is left out is as in the MJCF.
         sampled: Random values of the episode by name, (k, ...) each.
+        commanded_m: (k, 2) width that each gripper is commanded, in simulation: fingers press on what is between them.
+            None: `gripper_m`.
+        payload_kg: (k, 2) mass in each gripper that simulated controllers know from the start; None: none.
     """
 
     q_rad: Array
@@ -78,6 +81,13 @@ class Start(NamedTuple):
     objects: Mapping[str, Array] = MappingProxyType({})
     joints: Mapping[str, Array] = MappingProxyType({})
     sampled: Mapping[str, Array] = MappingProxyType({})
+    commanded_m: Array | None = None
+    payload_kg: Array | None = None
+
+    @property
+    def widths_m(self) -> Array | None:
+        """Commanded widths of the grippers, (k, 2); None without grippers."""
+        return self.gripper_m if self.commanded_m is None else self.commanded_m
 
 
 def check_start(start: Start, props: Sequence[Prop]) -> None:

@@ -384,6 +384,11 @@ class Handover(StagedTask[HandoverSettings, HandoverMeasured, Facts]):
             sampled={"object": where, "target": wanted, "giver": giver},
         )
 
+    def skip(self, rows: Rows, passed: Rows) -> None:
+        """Continue with the block where it is in each gripper."""
+        super().skip(rows, passed)
+        self._slip_from_m[rows] = np.nan
+
     def measure(self, state: CellState) -> HandoverMeasured:
         """Compute the poses of all cells."""
         poses = np.concatenate([*state.objects["block"], *state.objects["target"]], axis=1).reshape(self.n, 2, 7)
@@ -489,8 +494,9 @@ class Handover(StagedTask[HandoverSettings, HandoverMeasured, Facts]):
     def _slip(self, grasped: Grasped) -> None:
         """Update the displacement of each grip in its gripper since the grasp."""
         if np.count_nonzero(grasped.holding):
+            fresh = ~grasped.holding[..., None] | np.isnan(self._slip_from_m)
+            np.copyto(self._slip_from_m, grasped.grip_in_tool_m, where=fresh)
             np.copyto(self._slip_m, length(grasped.grip_in_tool_m - self._slip_from_m), where=grasped.holding)
-            np.copyto(self._slip_from_m, grasped.grip_in_tool_m, where=~grasped.holding[..., None])
         else:
             self._slip_from_m[...] = grasped.grip_in_tool_m
 

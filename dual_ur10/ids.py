@@ -54,6 +54,7 @@ def _entry(task: str, scripted: str, training: str, *, learned: bool = True) -> 
         scripted={
             "": f"dual_ur10.tasks.{module}:{scripted}",
             "tcp_delta": _FOLLOWER,
+            "tcp_translation": _FOLLOWER,
         },
         training=f"{_SETTINGS}:{training}",
         learned={"learned": f"{_LEARNED}:learned_policies/{module}"} if learned else {},
@@ -75,6 +76,7 @@ TASKS: Final = {
         scripted={
             "": f"{_SCRIPTED}.sync_carry:SyncCarryPolicy",
             "tcp_delta": _FOLLOWER,
+            "tcp_translation": _FOLLOWER,
         },
         training=f"{_SETTINGS}:SYNC_CARRY",
         learned={"learned": f"{_LEARNED}:learned_policies/sync_carry"},
@@ -84,6 +86,7 @@ TASKS: Final = {
         scripted={
             "": f"{_SCRIPTED}.handover:HandoverPolicy",
             "tcp_delta": _FOLLOWER,
+            "tcp_translation": _FOLLOWER,
         },
         training=f"{_SETTINGS}:HANDOVER",
         learned={"learned": f"{_LEARNED}:learned_policies/handover"},

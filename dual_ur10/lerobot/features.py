@@ -27,6 +27,7 @@ _STEPS: Final[dict[ActionMode, tuple[str, ...]]] = {
     "joint_delta": tuple(each.replace(".pos", ".step") for each in POSITIONS),
     "joint_position": POSITIONS,
     "tcp_delta": ("x.step", "y.step", "z.step", "rx.step", "ry.step", "rz.step"),
+    "tcp_translation": ("x.step", "y.step", "z.step"),
 }
 
 

@@ -47,6 +47,7 @@ _ARGUMENTS: Final = (
     "settings",
     "tools",
     "grippers",
+    "closed_m",
 )
 """Arguments of a scripted policy, by which it knows the environment; see `ScriptedPolicy`."""
 
@@ -311,6 +312,7 @@ def arguments_of(setup: EnvSetup, names: Collection[str]) -> dict[str, Any]:
         "settings": setup.settings,
         "tools": setup.config.equipment.tools,
         "grippers": setup.config.equipment.grippers and not setup.config.equipment.welded,
+        "closed_m": setup.closed_m,
     }
     return {name: values[name] for name in names}
 
@@ -336,6 +338,7 @@ _INTERFACE: Final = (
     "policy_rate_hz",
     "action_mode",
     "action_scale",
+    "gripper_action",
     "action_latency_ticks",
     "compensate_lag",
     "observation",

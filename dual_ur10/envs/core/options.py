@@ -13,7 +13,7 @@ import numpy as np
 
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.sim2real.cell.cell_config import CellConfig
-from dual_ur10.sim2real.control.adapter import ActionMode, ActionScale, scale_of_steps
+from dual_ur10.sim2real.control.adapter import ActionMode, ActionScale, GripperAction, scale_of_steps
 from dual_ur10.sim2real.control.command_queue import checked_latency
 from ur_core.kinematics.robots import robot_model
 from ur_core.kinematics.ur10 import ARMS
@@ -50,12 +50,16 @@ class EnvOptions:
             `ur_core.kinematics.robots.ROBOTS`. A shorter arm stands nearer to the workspace. None: two UR10s, or
             those of `cell`.
         policy_rate_hz: Actions per second. The period must be a whole number of controller ticks (8 ms on a CB3).
-        action_mode: "joint_delta", "joint_position" or "tcp_delta"; see
+        action_mode: "joint_delta", "joint_position", "tcp_delta" or "tcp_translation"; see
             `dual_ur10.sim2real.control.adapter.ServojAdapter`.
         action_scale: Factor of the steps that actions are, above 0 and at most 1: at 0.3 an action of 1 is a step of
             0.3 of the speed limit. A number, or a mapping with a factor for some groups: "joints" of "joint_delta",
-            "translation" and "rotation" of "tcp_delta". Widths of grippers are no steps, nor are the actions of
-            "joint_position", for which a scale other than 1 is refused.
+            "translation" and "rotation" of "tcp_delta", "translation" of "tcp_translation". Widths of grippers are no
+            steps, nor are the actions of "joint_position", for which a scale other than 1 is refused.
+        gripper_action: Map of the last number of an arm's action to the width of its gripper. "stroke": -1 is closed
+            and 1 open. "grip": 0 and more is open, and -1 a little narrower than the object that this arm grips, so
+            that little of the action lies behind the contact, where it changes nothing. The same on two controllers.
+            Only for steps of the tools.
         action_latency_ticks: Ticks from an observation to the first target of its action. 0 is an ideal system.
             Develop a policy for real arms with the latency that it will have. None: 0 in simulation, and the ticks of
             40 ms on two controllers.
@@ -89,9 +93,9 @@ class EnvOptions:
         camera: Camera of `render`, by one of the same names or a `Camera`.
         width, height: Size in pixels of images, both rendered and observed.
         shadows: Render shadows and reflections; see `dual_ur10.envs.rendering.images.Renderer`.
-        starts: Ratios of the episodes that begin, at rest, in a state of the scripted policy after a stage, by the names
-            of the task's stages: {"lift": 0.2} begins a fifth of them after `lift`. For training, in simulation alone;
-            the others begin as always. None: all do.
+        starts: Ratios of the episodes that begin, at rest, in a state of the scripted policy after a stage, by the
+            names of the task's stages: {"lift": 0.2} begins a fifth of them after `lift`. For training, in simulation
+            alone; the others begin as always. None: all do.
         until: Stage whose passing is the success of an episode, so that later stages earn nothing; None: the last one.
         confirm: Function that is called on two controllers with a text before the arms move to the start of an episode;
             it returns True to permit the motion. Later resets then need no other consent. None: real arms ask for a
@@ -111,6 +115,7 @@ class EnvOptions:
     policy_rate_hz: float = DEFAULT_RATE_HZ
     action_mode: ActionMode = "joint_delta"
     action_scale: ActionScale = 1.0
+    gripper_action: GripperAction = "stroke"
     action_latency_ticks: int | None = None
     compensate_lag: bool = True
     at_limits: AtLimits = "lead"
@@ -160,6 +165,13 @@ class EnvOptions:
         if self.action_mode not in get_args(ActionMode):
             raise UnknownNameError("action mode", str(self.action_mode), get_args(ActionMode))
         scale_of_steps(self.action_mode, self.action_scale)
+        if self.gripper_action not in get_args(GripperAction):
+            raise UnknownNameError("gripper_action", str(self.gripper_action), get_args(GripperAction))
+        if self.gripper_action == "grip" and self.action_mode not in ("tcp_delta", "tcp_translation"):
+            raise SettingsError(
+                f"gripper_action is 'grip', and action_mode {self.action_mode!r}: it is for steps of the tools, "
+                "'tcp_delta' or 'tcp_translation'"
+            )
         if self.observation not in get_args(ObservationKind):
             raise UnknownNameError("observation", str(self.observation), get_args(ObservationKind))
         if self.observation_dtype is not None and self.observation_dtype not in get_args(ObservationDtype):

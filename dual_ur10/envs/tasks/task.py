@@ -148,6 +148,11 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
         """Return the scene that the task needs in the cell."""
         return SceneRequirements()
 
+    @classmethod
+    def grip_widths_m(cls, settings: SettingsT) -> tuple[float, float] | None:
+        """Return the width of what the left and the right arm grip; None: nothing, or not always the same."""
+        return None
+
     def at_home(self, rows: Rows) -> Start:
         """Return the starts of `rows` with both arms at home, open grippers, and props where their MJCF has them."""
         home = np.tile(home_q_rad((self.cell.left, self.cell.right)), (len(rows), 1, 1))

@@ -15,7 +15,7 @@ from dual_ur10.errors import SettingsError
 from dual_ur10.policies.registry import load, scripts_of
 from ur_core.types import Array
 
-EPISODES: Final = 16
+EPISODES: Final = 8
 
 FIRST_SEED: Final = 900_000_000
 """Seed of the first of these episodes; no evaluation, check or training uses it."""

@@ -336,6 +336,7 @@ _KEYWORD_OF: Final = {
     "rate.latency_ticks": "action_latency_ticks",
     "actions.mode": "action_mode",
     "kwargs.action_scale": "action_scale",
+    "kwargs.gripper_action": "gripper_action",
     "actions.compensate_lag": "compensate_lag",
 }
 """Keywords of the environment that set these alone."""
@@ -386,6 +387,9 @@ def _misfits(made: EnvironmentSignature, here: EnvironmentSignature) -> Iterator
             raise CheckpointError(f"its kwargs make no environment: {error!s:.300}") from error
         if not same:
             yield "kwargs.action_scale", then, now
+    then, now = (each.kwargs.get("gripper_action", EnvOptions.gripper_action) for each in (made, here))
+    if then != now:
+        yield "kwargs.gripper_action", then, now
     for name in dict.fromkeys(("env_id", *_REMEDIES, *left)):
         if not name.startswith(_ONLY_WARNED) and not _same(left[name], right[name]):
             yield name, left[name], right[name]

@@ -32,6 +32,7 @@ OPTIONS: Final = (
     "policy_rate_hz",
     "action_mode",
     "action_scale",
+    "gripper_action",
     "action_latency_ticks",
     "compensate_lag",
     "randomization",

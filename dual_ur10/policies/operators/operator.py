@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from collections.abc import Mapping as Fields
 from dataclasses import replace
-from typing import Any, Final, get_args
+from typing import Any, Final
 
 import numpy as np
 
@@ -45,6 +45,7 @@ from ur_core.types import Array, Mask
 JOINED_WITHIN_RAD: Final = 0.6
 """Largest distance of a leader's joint from that of its arm at which they are joined."""
 
+_MODES: Final = ("tcp_delta", "joint_delta", "joint_position")
 _JOIN_RAD_S: Final = 0.2  # speed of an arm to its leader, until it is there: at most 3 s
 _JOINED_RAD: Final = 0.01  # distance at which it is
 _SMOOTH_S: Final = 0.03  # time constant with which an arm follows wanted poses and joints
@@ -126,8 +127,8 @@ class Operator:
             raise SettingsError(
                 f"{device!r:.80} is no input device: it needs begin(), read(), close(), a name, and hands, 1 or 2"
             )
-        if action_mode not in get_args(ActionMode):
-            raise UnknownNameError("action mode", str(action_mode), get_args(ActionMode))
+        if action_mode not in _MODES:
+            raise UnknownNameError("action mode of an operator", str(action_mode), _MODES)
         self.device, self.mapping = device, mapping or Mapping()
         self.timing, self.action_mode, self.grippers = timing, action_mode, grippers
         both = SceneSettings().mounts if mounts is None else (mounts[0], mounts[1])

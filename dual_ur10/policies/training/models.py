@@ -188,7 +188,7 @@ def _hide(layer: Any, unseen: Sequence[int]) -> None:
     layer.weight.register_hook(lambda gradient: gradient * mask)
 
 
-def explore(model: Any, settings: Reinforcement, share: float, grippers: bool) -> None:
+def explore(model: Any, settings: Reinforcement, share: float, grippers: int) -> None:
     """Set the width of exploration, and if PPO's actions may change, for this ratio of the training's steps.
 
     Args:
@@ -196,13 +196,13 @@ def explore(model: Any, settings: Reinforcement, share: float, grippers: bool) -
             entropy of a normal distribution with it.
         settings: Settings of the algorithm.
         share: Ratio of the training's steps that are done.
-        grippers: Each arm's seven actions end with that of its gripper.
+        grippers: Size of an arm's action, which ends with that of its gripper; 0: there are none.
     """
     ratio = settings.last_std / settings.first_std
     width = math.log(settings.first_std * ratio ** min(1.0, share / _EXPLORED))
     log_std = torch.full(model.action_space.shape, width)
     if grippers:
-        log_std[6::7] += math.log(settings.gripper_std)
+        log_std[grippers - 1 :: grippers] += math.log(settings.gripper_std)
     if isinstance(model, PPO):
         for part in (model.policy.mlp_extractor.policy_net, model.policy.action_net):
             part.requires_grad_(share >= settings.critic_first)

@@ -63,7 +63,7 @@ class Reinforcer:
         per_update = min(self._asked.settings.steps_per_update, most)
         self._settings: Reinforcement = dataclasses.replace(self._asked.settings, steps_per_update=per_update)
         view = view_of(self._asked.env_id, self._asked.keywords)
-        self._grippers = view.signature.actions.gripper
+        self._grippers = view.signature.actions.gripper * (view.signature.action.shape[0] // 2)
         self._blind = view.indices(self._settings.unseen, joint=self._asked.agents == "joint")
         self._state, self._on_progress = state, on_progress
         self.steps = 0 if state is None else state[1].steps

@@ -21,13 +21,22 @@ from dual_ur10.sim2real.control.adapter_matrices import matrices_of
 from dual_ur10.sim2real.control.cartesian_step import goal_of_step
 from dual_ur10.sim2real.control.limits import HISTORY, MotionLimits
 from ur_core.kernel import RowLoop, Struct
+from ur_core.kinematics import flange_pose
 from ur_core.kinematics.forward import links
-from ur_core.kinematics.rotations import quat_from_rotvec, quat_multiply, quat_to_matrix
+from ur_core.kinematics.rotations import (
+    quat_from_matrix,
+    quat_from_rotvec,
+    quat_multiply,
+    quat_to_matrix,
+    quat_to_rotvec,
+)
 from ur_core.kinematics.ur10 import DHParameters
 from ur_core.servoj import ServojProfile
 from ur_core.types import Array, Rows
 
-ActionMode = Literal["joint_delta", "joint_position", "tcp_delta"]
+ActionMode = Literal["joint_delta", "joint_position", "tcp_delta", "tcp_translation"]
+
+GripperAction = Literal["stroke", "grip"]
 
 ActionScale = float | Mapping[str, float]
 
@@ -35,6 +44,7 @@ ACTION_GROUPS: Final[dict[str, dict[str, slice]]] = {
     "joint_delta": {"joints": slice(0, 6)},
     "joint_position": {},
     "tcp_delta": {"translation": slice(0, 3), "rotation": slice(3, 6)},
+    "tcp_translation": {"translation": slice(0, 3)},
 }
 """Numbers of an arm's action that are steps, by action mode and group. Positions and widths of grippers are none."""
 
@@ -49,6 +59,12 @@ TCP_STEP_M_S = 0.25
 
 TCP_ROTATION_RAD_S = 0.5
 """Angular speed at action 1 of `tcp_delta`: the first speed that is safe to try on a real arm."""
+
+TIGHTER_M: Final = 0.006
+"""Width below that of its object to which a gripper closes at most with `gripper_action="grip"`.
+
+It is more than full force needs, and a small part of the stroke: commands behind contact change nothing.
+"""
 
 _ROUNDING = 1e-6  # bounds are float32 where a policy sees them
 
@@ -125,9 +141,11 @@ class ServojAdapter:
             command, as fractions of the speed limit times the period, -1 to 1. "joint_position": six positions, rad.
             "tcp_delta": translation of the tool centre point from its last command, and rotation vector about it,
             along the axes of the cell frame, as fractions of 0.25 m/s and 0.5 rad/s; a step out of reach leaves that
-            arm where it is, and steps towards a singularity shrink to zero (`cartesian_step`).
+            arm where it is, and steps towards a singularity shrink to zero (`cartesian_step`). "tcp_translation": its
+            first three numbers; each tool keeps the orientation that it has where an episode begins.
         action_scale: Factor of steps, above 0 and at most 1; see `scale_of_steps`.
-        gripper: An action has a seventh number per arm, the gripper's width: -1 closed, 1 open.
+        gripper: An action has a last number per arm, the gripper's width: -1 closed, 1 open.
+        closed_m: (2,) width of each gripper at -1, where 0 and more is open; None: closed, and 0 is half of the stroke.
         compensate_lag: Send targets ahead by the law's inverse, so that the arms do not lag.
         dh: The arms' kinematics, for "tcp_delta".
         tcp_m: (2,) distance of each tool centre point before its flange, for "tcp_delta".
@@ -150,6 +168,7 @@ class ServojAdapter:
         mode: ActionMode = "joint_delta",
         action_scale: ActionScale = 1.0,
         gripper: bool = False,
+        closed_m: Sequence[float] | None = None,
         compensate_lag: bool = True,
         dh: Sequence[DHParameters],
         tcp_m: Sequence[float] = (0.0, 0.0),
@@ -167,6 +186,10 @@ class ServojAdapter:
         self._tcp_m = tuple(tcp_m)
         self.action_scale = scale_of_steps(mode, action_scale)
         self.stroke_m: Array = np.array(stroke_m, dtype=np.float64)
+        # Change of the kernel's number, -1 closed and 1 open, over that of the action.
+        self._closing = None if closed_m is None else 2.0 * (1.0 - np.array(closed_m, dtype=np.float64) / self.stroke_m)
+        self._cartesian = mode in ("tcp_delta", "tcp_translation")
+        self._held: Array = np.tile(np.eye(3), (n, 2, 1, 1))  # orientations of the flanges in their bases
         self.speed_factor = speed_factor
         lookahead_s = profile.lookahead_s if lookahead_s is None else lookahead_s
         self._matrices = matrices_of(profile, self.limits, ticks, compensate_lag, lookahead_s, speed_factor)
@@ -186,7 +209,7 @@ class ServojAdapter:
         self._rest = np.zeros(n, dtype=np.int64)  # of the last path: twice the periods left, plus 1 if curved
         self._stops = np.zeros(n, dtype=np.int64)  # joints that stop past their commands, a bit each; bit 12: led
         self._commanded: Array = np.zeros((n, 2, 6))
-        self._action: Array = np.zeros((n, 2, self.action_size))
+        self._action: Array = np.zeros((n, 2, 6 + gripper))
         self._cartesian_goal: Array = np.zeros((n, 12))
         self._clipped = np.zeros(n, dtype=np.int64)
         self._targets: Array = np.zeros((n, ticks, 2, 6))
@@ -196,13 +219,15 @@ class ServojAdapter:
 
     def _struct(self) -> Struct:
         """Return the coefficients and the state as the kernel's structure."""
-        low, high = self.action_bounds
+        low, high = np.full((2, self._action.shape[2]), -1.0), np.full((2, self._action.shape[2]), 1.0)
+        if not self._cartesian:
+            low, high = self.action_bounds
         return Struct(
             "Adapter",
             n=self.n,
             ticks=self.ticks,
             width=HISTORY + self.ticks + 2,
-            mode=get_args(ActionMode).index(self.mode),
+            mode=get_args(ActionMode).index("tcp_delta" if self._cartesian else self.mode),
             size=self._action.shape[2],
             approach=self._approach,
             **self._matrices.values,
@@ -237,7 +262,7 @@ class ServojAdapter:
     @property
     def action_size(self) -> int:
         """Size of an action per arm."""
-        return 7 if self.gripper else 6
+        return (3 if self.mode == "tcp_translation" else 6) + self.gripper
 
     @property
     def action_bounds(self) -> tuple[Array, Array]:
@@ -265,14 +290,23 @@ class ServojAdapter:
         """Targets of the last period, (n, ticks, 2, 6)."""
         return self._targets.copy()
 
-    def reset(self, q_rad: Array, rows: Rows | None = None) -> None:
-        """Start from rest at `q_rad`, (n, 2, 6), in all cells or in `rows` of them (then (len(rows), 2, 6))."""
+    def reset(self, q_rad: Array, rows: Rows | None = None, *, begins: bool = True) -> None:
+        """Start from rest.
+
+        Args:
+            q_rad: (n, 2, 6) joint positions, or (len(rows), 2, 6).
+            rows: The cells to start; None: all.
+            begins: Keep the orientations that the tools have here with "tcp_translation", not those before.
+        """
         index = slice(None) if rows is None else rows
         self._state[index] = np.asarray(q_rad).reshape(-1, 1, 12)
         self._state[index, _SPEED:] = 0.0
         self._rest[index] = 0
         self._stops[index] = 0
         self._commanded[index] = self._state[index, _GOAL].reshape(-1, 2, 6)
+        if begins and self.mode == "tcp_translation":
+            for arm, dh in enumerate(self.dh):
+                self._held[index, arm] = flange_pose(self._commanded[index][:, arm], dh)[1]
         self._widths[index] = self.stroke_m
 
     def __call__(self, action: Array) -> Command:
@@ -282,9 +316,14 @@ class ServojAdapter:
             action: (n, 2, action_size). Values outside the bounds are clipped to them. A cell with a value that is not
                 finite gets no motion, as after steps of zero, and its grippers keep their widths.
         """
-        self._action[:] = action
-        if self.mode == "tcp_delta":
-            self._cartesian_goal[:] = self._tcp_goal(action[..., :6]).reshape(self.n, 12)
+        if self.mode == "tcp_translation":
+            self._action[..., :3], self._action[..., 6:] = action[..., :3], action[..., 3:]
+        else:
+            self._action[:] = action
+        if self._closing is not None and self.gripper:
+            self._action[..., 6] = 1.0 + self._closing * np.clip(self._action[..., 6], -1.0, 0.0)
+        if self._cartesian:
+            self._cartesian_goal[:] = self._tcp_goal(self._action[..., :6]).reshape(self.n, 12)
         self._step()
         return Command(self.targets_rad, self._widths.copy() if self.gripper else None)
 
@@ -297,6 +336,17 @@ class ServojAdapter:
             # One small product per cell, so that its last bit does not depend on how many others there are.
             vectors = asked[:, arm].reshape(-1, 2, 3) @ self._to_base[arm].T
             step = vectors[:, 0] * (TCP_STEP_M_S * self.period_s)
-            rotation = vectors[:, 1] * (TCP_ROTATION_RAD_S * self.period_s)
+            most_rad = TCP_ROTATION_RAD_S * self.period_s
+            rotation = vectors[:, 1] * most_rad
+            if self.mode == "tcp_translation":
+                rotation = self._back(now[:, arm], arm, most_rad)
             goal[:, arm] = goal_of_step(now[:, arm], step, rotation, self._steps_to_rest, dh, self._tcp_m[arm])
         return goal
+
+    def _back(self, q_rad: Array, arm: int, most_rad: float) -> Array:
+        """Return rotations, (n, 3), towards the orientation that a tool keeps, at most `most_rad` each."""
+        away = self._held[:, arm] @ flange_pose(q_rad, self.dh[arm])[1].swapaxes(-1, -2)
+        rotation = quat_to_rotvec(quat_from_matrix(away))
+        angle = np.sqrt(np.vecdot(rotation, rotation))[:, None]
+        result: Array = rotation * np.minimum(1.0, most_rad / np.maximum(angle, 1e-12))
+        return result

@@ -159,7 +159,7 @@ class ServojPipeline:
         """
         refused = np.array(rows)
         last = self.gate.last_targets_rad[refused]
-        self.adapter.reset(last, refused)
+        self.adapter.reset(last, refused, begins=False)
         rest = self.gate.rests[refused]
         if rest.any():
             self.gate.reset(last[rest], refused[rest])

@@ -21,7 +21,7 @@ from dual_ur10.envs.core.randomization import apply_sample
 from dual_ur10.envs.core.sensing import Sensing
 from dual_ur10.envs.core.setup import EnvSetup, check_for_controllers, check_reset
 from dual_ur10.envs.tasks.observation_layout import ConciseView
-from dual_ur10.envs.tasks.task import Outcome, Timing
+from dual_ur10.envs.tasks.task import FINISH, Outcome, Timing
 from dual_ur10.errors import (
     ActionError,
     CellFaulted,
@@ -205,6 +205,10 @@ class Core:
         self.weights = setup.weights
         self._is_sparse = setup.options.reward == "sparse"
         self._weights = np.array(list(self.weights.values()))
+        self._best: Array | None = None  # (n, 2) largest income of each arm so far; NaN before the first step
+        if setup.options.progress_weight:
+            self._best = np.full((n, 2), np.nan)
+        self._lasting = np.array([self.weights[name] * (name != FINISH) for name in setup.task_type.weights])
         self._terms = [f"reward/{name}" for name in self.weights]
         self._refused = np.zeros(n, dtype=bool)  # since the reset
         self._braking: set[int] = set()  # rows refused in the step before
@@ -332,6 +336,8 @@ class Core:
         self._clearance.check_start(start.q_rad)
         self.pipeline.reset(start.q_rad, rows, start.widths_m)
         self._refused[rows] = False
+        if self._best is not None:
+            self._best[rows] = np.nan
         self._braking -= set(rows.tolist())
         plant = apply_sample({name: value[rows] for name, value in self._plant.items()}, sampled)
         try:
@@ -463,7 +469,7 @@ class Core:
         return command._replace(coupled=bool(coupled[0]))
 
     def _all_terms(self, terms: Array, refused: Sequence[int], success: Mask) -> Array:
-        """Return the terms of the arms with those of refusals and success, as far as there are weights for them."""
+        """Return the terms of the arms with those that are no task's, as far as there are weights for them."""
         count = len(self.task.weights)
         if terms.shape[2] != count:
             found, allowed = (
@@ -477,6 +483,10 @@ class Core:
         result[..., :count] = terms
         if self._brakes and refused:
             result[refused, :, count] = 1.0
+        if self._best is not None:
+            income = terms @ self._lasting
+            result[..., -1] = np.nan_to_num(np.maximum(income - self._best, 0.0))
+            self._best = np.fmax(self._best, income)
         if self._is_sparse:
             result[..., -1] = success[:, None]
         return result

@@ -78,6 +78,9 @@ class EnvOptions:
             of the task, and that of refusals, stay in `info` and count nothing.
         reward_weights: Weights of terms by their names, in place of the task's own; "refusal" is one of them where
             refusals do not end episodes. None: the task's.
+        progress_weight: Weight of a further term "progress": by how much an arm's weighted terms, without "finish" and
+            "refusal", exceed their largest value of the episode so far. Its sum over an episode is at most what the
+            best step earns, and nobody earns it twice. 0: there is none.
         randomization: Variation from episode to episode: a name of
             `dual_ur10.envs.core.randomization.PRESETS`, a mapping of single values, or a `Randomization`.
         observation: "state" gives an array of all numbers of the task; "goals" the few of them that lead to its goals,
@@ -122,6 +125,7 @@ class EnvOptions:
     on_refusal: OnRefusal | None = None
     reward: RewardForm = "dense"
     reward_weights: Mapping[str, float] | None = None
+    progress_weight: float = 0.0
     randomization: object = "none"
     observation: ObservationKind = "state"
     observation_dtype: ObservationDtype | None = None
@@ -190,6 +194,11 @@ class EnvOptions:
             raise UnknownNameError("reward", str(self.reward), get_args(RewardForm))
         if self.reward_weights is not None:
             object.__setattr__(self, "reward_weights", _checked_weights(self.reward_weights, self.reward))
+        weight = self.progress_weight
+        if isinstance(weight, bool) or not isinstance(weight, numbers.Real) or not 0.0 <= weight < math.inf:
+            raise SettingsError(f"progress_weight is {weight!r}: it must be a finite number, 0 or more")
+        if weight and self.reward == "sparse":
+            raise SettingsError('progress_weight has no effect with reward="sparse": leave out one of both')
         if self.starts is not None:
             object.__setattr__(self, "starts", _checked_starts(self.starts))
         if not isinstance(self.cameras, str | Camera | tuple | list):

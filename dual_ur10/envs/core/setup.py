@@ -33,6 +33,9 @@ REFUSAL: Final = "refusal"
 REFUSAL_WEIGHT: Final = -1.0
 """Its weight, unless another one is given: what the best step earns."""
 
+PROGRESS_TERM: Final = "progress"
+"""Reward term of a step that exceeds all others of its episode so far, of `progress_weight`."""
+
 SUCCESS_TERM: Final = "success"
 """Reward term of the step that ends an episode with success, of `reward="sparse"`."""
 
@@ -173,6 +176,8 @@ class EnvSetup:
     def weights(self) -> dict[str, float]:
         """Weight of each reward term by its name: those of the task, of refusals where they cost, and of success."""
         found = {**self.task_type.weights, **({REFUSAL: REFUSAL_WEIGHT} if self.brakes else {})}
+        if self.options.progress_weight:
+            found[PROGRESS_TERM] = float(self.options.progress_weight)
         if self.options.reward == "sparse":
             return {**dict.fromkeys(found, 0.0), SUCCESS_TERM: 1.0}
         given = self.options.reward_weights or {}

@@ -7,13 +7,13 @@ import math
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
-from typing import Any, ClassVar, Final, Generic, NamedTuple, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.envs.tasks.geometry import Number
-from dual_ur10.envs.tasks.task import MeasuredT, Outcome, SettingsT, Task, Timing
+from dual_ur10.envs.tasks.task import FINISH, MeasuredT, Outcome, SettingsT, Task, Timing
 from dual_ur10.errors import SettingsError
 from dual_ur10.sim2real.cell.cell import CellState
 from dual_ur10.sim2real.cell.cell_config import CellConfig
@@ -27,9 +27,6 @@ Progress = Number | tuple[Number, Number]
 
 StageMethod = Callable[[Any, Any], tuple[Number, Progress]]
 TermMethod = Callable[[Any, Any], Progress]
-
-FINISH: Final = "finish"
-"""Reward term of success: the number of steps that remain when an episode ends with it, times its quality."""
 
 
 class _Stage(NamedTuple):

@@ -6,7 +6,7 @@ import dataclasses
 import numbers
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Generic, NamedTuple, TypeVar, cast
+from typing import Any, ClassVar, Final, Generic, NamedTuple, TypeVar, cast
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from dual_ur10.sim2real.control.limits import MotionLimits
 from ur_core.mjcf.gains import STIFF, Gains
 from ur_core.tools.tool import strokes_m
 from ur_core.types import Array, Mask, Rows, changed
+
+FINISH: Final = "finish"
+"""Reward term of success: the number of steps that remain when an episode ends with it, times its quality."""
 
 
 class Outcome(NamedTuple):

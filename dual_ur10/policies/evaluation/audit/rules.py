@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from dual_ur10.envs.tasks.observation_layout import Field, ObservationLayout
-from dual_ur10.envs.tasks.staged import FINISH
+from dual_ur10.envs.tasks.task import FINISH
 from dual_ur10.policies.evaluation.audit.cheats import ONE_ARM, REPLAY
 from dual_ur10.policies.evaluation.audit.episodes import FLOORS, AuditEpisode
 from dual_ur10.policies.evaluation.audit.report import AuditFinding, Severity

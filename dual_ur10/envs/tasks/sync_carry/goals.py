@@ -16,11 +16,18 @@ from dual_ur10.assets.props import BAR_WIDTH_M
 from dual_ur10.assets.settings import DEFAULT_TOOLS
 from dual_ur10.envs.tasks.geometry import KEEP, LEARNERS_ROOM_M, Goal, GoalSteps, ToolSteps
 from dual_ur10.envs.tasks.grasps import Grasped, Grasps
+from dual_ur10.envs.tasks.observation_layout import Field
 from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings
 from ur_core.kinematics.frames import ArmMount, Frames
 from ur_core.kinematics.poses import Poses
 from ur_core.tools.tool import Tool
 from ur_core.types import Array, Mask
+
+PATH_FIELDS: Final = (
+    Field("path_m_s", 3, -5.0, 5.0, "velocity (m/s)", "velocity of the grip on the bar's reference", concise=(0.1,)),
+    Field("path_rad_s", 3, -5.0, 5.0, "velocity (rad/s)", "angular velocity of the bar's reference", concise=(0.2,)),
+)
+"""Last fields of a carry whose settings have `path_speed`, in the cell frame."""
 
 POSES: Final = 3
 BAR_POSE, REFERENCE, AHEAD = range(POSES)
@@ -62,6 +69,7 @@ class CarryGoals:
         tools: tuple[Tool, Tool] = DEFAULT_TOOLS,
     ) -> None:
         self._welded, grip = settings.rigid, settings.grip
+        self._grip_m = grip.position_m[:, None]
         room = np.array([0.0, 0.0, 0.0 if settings.rigid else LEARNERS_ROOM_M])
         self.grasps = Grasps(Frames(mounts), np.tile(grip.position_m, (n, 1, 1)), BAR_WIDTH_M, POSES, tools=tools)
 
@@ -78,6 +86,22 @@ class CarryGoals:
         if self._welded:
             found.between[...] = found.holding[...] = True
         return found
+
+    def speeds(self, grasped: Grasped, ahead_s: float) -> tuple[Array, Array]:
+        """Return the velocities of both grips on the reference, (n, 2, 3) each, m/s and rad/s in the cell frame.
+
+        They are means from now to the end of the next motion.
+
+        Args:
+            grasped: Grasps, as returned by `measure`.
+            ahead_s: Time to the end of the next motion.
+        """
+        now, ahead = grasped.frames[:, REFERENCE], grasped.frames[:, AHEAD]
+        (begin, end) = (each[:, 3:].reshape(-1, 3, 3) for each in (now, ahead))
+        moved_m = (ahead - now)[:, None, :3] + (self._grip_m * (end - begin)[:, None]).sum(axis=-1)
+        turn = (end[:, :, None] * begin[:, None]).sum(axis=-1)
+        axis = np.stack([turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]])
+        return moved_m / ahead_s, np.repeat(axis.T[:, None] / (2.0 * ahead_s), 2, axis=1)
 
     def __call__(self, grasped: Grasped, commanded_q_rad: Array | None = None) -> Wanted:
         """Return the goals.

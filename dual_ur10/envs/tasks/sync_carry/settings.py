@@ -47,6 +47,7 @@ class CarrySettings:
     grasp: Grasp = "friction"
     payload: Payload = "known"
     grip_force_n: float = 100.0
+    path_speed: bool = False
     object_range_m: float = 0.02
     object_turn_rad: float = 0.05
     success_error_m: float = 0.01
@@ -57,6 +58,8 @@ class CarrySettings:
         for name, choices in (("grasp", get_args(Grasp)), ("payload", get_args(Payload))):
             if getattr(self, name) not in choices:
                 raise UnknownNameError(name, str(getattr(self, name)), choices)
+        if not isinstance(self.path_speed, bool):
+            raise SettingsError(f"path_speed is {self.path_speed!r}: it must be True or False")
         if self.duration_s not in MOVES:
             raise SettingsError(f"duration_s is {self.duration_s!r}: the path has {' or '.join(map(str, MOVES))} s")
         check_numbers(

@@ -26,7 +26,7 @@ from dual_ur10.envs.tasks.observation_layout import (
     wrench_fields,
     wrench_values,
 )
-from dual_ur10.envs.tasks.sync_carry.goals import AHEAD, BAR_POSE, POSES, REFERENCE, CarryGoals
+from dual_ur10.envs.tasks.sync_carry.goals import AHEAD, BAR_POSE, PATH_FIELDS, POSES, REFERENCE, CarryGoals
 from dual_ur10.envs.tasks.sync_carry.path import CarryPath
 from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings, bar_pose, ideal_relative, path_rate
 from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Task, Timing, gaussian
@@ -217,6 +217,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
     | `grasp` | str | `"friction"` | "friction", or "rigid": welded to the bar |
     | `payload` | str | `"known"` | "known": each arm's load is declared to its simulated controller; or "unknown" |
     | `grip_force_n` | float | `100.0` | force of each finger, 20 to 235 (N) |
+    | `path_speed` | bool | `False` | observe the velocity of both grips on the bar's reference, without which a policy that corrects a part of its error in each step lags behind |
     | `object_range_m` | float | `0.02` | initial position of the bar, ± along x and y (m) |
     | `object_turn_rad` | float | `0.05` | initial yaw of the bar, ± (rad) |
     | `success_error_m` | float | `0.01` | largest root mean square distance of the bar to its path of a success (m) |
@@ -290,7 +291,8 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
     @classmethod
     def layout_for(cls, settings: CarrySettings) -> ObservationLayout:
         """Return the fields of an observation; with a rigid grasp there are no grippers."""
-        return cls.layout.without("gripper_m", *GRIPPER_FIELDS) if settings.rigid else cls.layout
+        layout = ObservationLayout(*cls.layout.fields, *PATH_FIELDS) if settings.path_speed else cls.layout
+        return layout.without("gripper_m", *GRIPPER_FIELDS) if settings.rigid else layout
 
     @classmethod
     def requirements(cls, settings: CarrySettings) -> SceneRequirements:
@@ -358,6 +360,8 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
             "time_to_path_s": per_arm(np.minimum(clock, 0.0)),
             "progress": per_arm(np.minimum(np.maximum(clock / self._path.duration_s, 0.0), 1.0)),
         }
+        if self.settings.path_speed:
+            values["path_m_s"], values["path_rad_s"] = self._goals.speeds(grasped, self.timing.ahead_s)
         if not self.settings.rigid:
             values["gripper_m"] = gripper_m = required(state.gripper_m)[..., None]
             values.update(gripper_values(grasped.between, wanted.closes, gripper_m, self._strokes_m))

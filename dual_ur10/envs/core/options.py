@@ -59,7 +59,7 @@ class EnvOptions:
         gripper_action: Map of the last number of an arm's action to the width of its gripper. "stroke": -1 is closed
             and 1 open. "grip": 0 and more is open, and -1 a little narrower than the object that this arm grips, so
             that little of the action lies behind the contact, where it changes nothing. The same on two controllers.
-            Only for steps of the tools.
+            Only for steps of the tools. With `observation="goals"` the width beyond the object is then observed, too.
         action_latency_ticks: Ticks from an observation to the first target of its action. 0 is an ideal system.
             Develop a policy for real arms with the latency that it will have. None: 0 in simulation, and the ticks of
             40 ms on two controllers.

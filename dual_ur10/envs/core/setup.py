@@ -208,6 +208,8 @@ class EnvSetup:
             SettingsError: Or one of its kinds: the arms cannot do it in this cell.
         """
         task = self.task_type(self.settings, self.config, self.timing, n)
+        if self.options.gripper_action == "grip":
+            task.grip_m = self.task_type.grip_widths_m(self.settings)
         if self.options.until is not None:
             cast("StagedTask[Any, Any, Any]", task).end_after(self.options.until)
         return task

@@ -3,6 +3,7 @@
 python benchmarks/learning.py [--episodes 300] [--randomization mild,none] [--tasks SineTracking] [--json FILE]
 python benchmarks/learning.py --parts from_scratch --tasks SineTracking --seeds 3 [--plot FILE]
 python benchmarks/learning.py --parts stock --seeds 3 --episodes 100
+python benchmarks/learning.py --parts ladder --trials FOLDER --seeds 5 [--json FILE]
 
 Seeds begin at 0; trainings use other seeds to learn and to check their progress. The intervals are
 Wilson's, of 95 %. On controllers in real time: `python -m dual_ur10 evaluate ENV --policy learned --cell FILE`.
@@ -24,6 +25,8 @@ Parts:
         progress checks. Only where it is named.
     from_demonstrations: behaviour cloning of 20 episodes of the scripted policy under noise, evaluated in the
         environment of the training; only where it is named. Steps are those of the demonstrations.
+    ladder: stock learners on rungs from one arm that lifts to whole tasks, `ladder.py`; only where it is named, and
+        then alone. It has a JSON form of its own.
 """
 
 import argparse
@@ -56,7 +59,7 @@ from dual_ur10.policies.training.train import train
 
 sys.path.append(str(Path(__file__).parents[1] / "examples"))
 
-PARTS = ("shipped", "range", "wide", "cell", "from_scratch", "stock", "from_demonstrations")
+PARTS = ("shipped", "range", "wide", "cell", "from_scratch", "stock", "from_demonstrations", "ladder")
 STOCK: dict[str, dict[str, Any]] = {
     "snippet": {"algorithm": "PPO"},
     "stock_ppo": {"algorithm": "PPO", "steps": 500_000, "settings": {}, "number": 1},
@@ -96,8 +99,18 @@ def main() -> None:
     parser.add_argument("--plot", type=Path, help="draw the curves of the part from_scratch to this PNG file")
     parser.add_argument("--tasks", default="", help="names, with commas between them; all without")
     parser.add_argument("--json", type=Path)
+    further = parser.add_argument_group("part ladder")
+    further.add_argument("--trials", type=Path, help="folder of the trials, which go on where they were ended")
+    further.add_argument("--rungs", nargs="+", help="names of `ladder.RUNGS`; without, the ladder")
+    further.add_argument("--by", nargs="+", choices=("ppo", "sac", "dagger", "bc"), default=("ppo",))
+    further.add_argument("--first-seed", type=int, default=0)
     args = parser.parse_args()
     print(f"load {os.getloadavg()[0]:.2f}")
+    if "ladder" in args.parts:
+        found = climbed(parser, args)
+        if args.json is not None:
+            args.json.write_text(json.dumps(found, indent=1) + "\n")
+        return
     results: dict[str, dict[str, Any]] = {}
     for env_id in dual_ur10.ENV_IDS:
         task = env_id.split("/")[1]
@@ -129,6 +142,19 @@ def main() -> None:
             results.setdefault(task, {})["from_demonstrations"] = from_demonstrations(env_id, args.episodes)
     if args.json is not None:
         args.json.write_text(json.dumps(results, indent=1) + "\n")
+
+
+def climbed(parser: argparse.ArgumentParser, args: argparse.Namespace) -> dict[str, Any]:
+    """Run the trials of the part ladder, and return their results."""
+    import ladder
+
+    if args.trials is None or len(args.parts) > 1:
+        parser.error("the part ladder is run alone, and needs --trials FOLDER")
+    unknown = [name for name in args.rungs or () if name not in ladder.RUNGS]
+    if unknown:
+        parser.error(f"there is no rung {unknown[0]!r}: there are {', '.join(map(repr, ladder.RUNGS))}")
+    seeds = range(args.first_seed, args.first_seed + args.seeds)
+    return ladder.climb(args.trials, args.rungs or ladder.LADDER, args.by, seeds)
 
 
 def measured(

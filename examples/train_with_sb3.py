@@ -81,13 +81,15 @@ def keywords_of(task: str) -> dict[str, Any]:
 def cells(task: str, algorithm: str, number: int, reward: str = "individual", **keywords: Any) -> CellsVecEnv:
     """Return cells in one batch: a row for each, or one for each arm."""
     if task == SINE and algorithm == "PPO":
-        return JointVecEnv(task, number, **SEEN, **keywords)
-    return TwoAgentVecEnv(task, number, reward=reward, **keywords_of(task), **keywords)
+        return JointVecEnv(task, number, **keywords)
+    return TwoAgentVecEnv(task, number, reward=reward, **keywords)
 
 
-def measure(task: str, algorithm: str, model: BaseAlgorithm, episodes: int, first_seed: int) -> dict[str, float]:
+def measure(
+    task: str, algorithm: str, model: BaseAlgorithm, episodes: int, first_seed: int, **keywords: Any
+) -> dict[str, float]:
     """Return means of whole episodes without exploration: return, success, and SineTracking's flange error in mm."""
-    env = cells(task, algorithm, episodes, reward="shared")
+    env = cells(task, algorithm, episodes, reward="shared", **(keywords or keywords_of(task)))
     env.seed(first_seed)
     observation, live = env.reset(), np.ones(env.num_envs, dtype=bool)
     steps, earned, error_mm, success = np.zeros((4, env.num_envs))
@@ -111,17 +113,26 @@ def train(
     settings: dict[str, Any] | None = None,
     number: int = 0,
     task: str = SINE,
+    short: int = 0,
+    curve: list[dict[str, float]] | None = None,
+    starts: dict[str, float] | None = None,
+    **keywords: Any,
 ) -> tuple[BaseAlgorithm, int, float]:
-    """Train, print the curve, and return the model, its steps, and the minutes without those of the checks."""
+    """Train, print the curve, and return the model, its steps, and the minutes without those of the checks.
+
+    Every 0 means what is usual for the task, and so do no keywords of the environment. Episodes of the training alone
+    may begin after stages (`starts`). Points of the curve are appended to `curve`.
+    """
+    keywords = keywords or keywords_of(task)
     torch.set_num_threads(1)  # the cells use the others
     if task == SINE:
-        chosen, most, short = SETTINGS[algorithm], STEPS[algorithm], SHORT
+        chosen, most, usual = SETTINGS[algorithm], STEPS[algorithm], SHORT
     else:
         chosen = {**OBJECTS_SETTINGS, "policy_kwargs": {"log_std_init": OBJECTS_LOG_STD.get(task, -1.3)}}
-        most, short = OBJECTS_STEPS.get(task, 1_500_000), OBJECTS_SHORT.get(task, 500)
+        most, usual = OBJECTS_STEPS.get(task, 1_500_000), OBJECTS_SHORT.get(task, 500)
     chosen = chosen if settings is None else settings
     number, steps = number or CELLS[algorithm], steps or most
-    env = cells(task, algorithm, number, max_episode_steps=short)
+    env = cells(task, algorithm, number, max_episode_steps=short or usual, starts=starts, **keywords)
     rows = env.num_envs // number
     # It learns from episodes with this seed and those that follow.
     first_seed = 1_000_000_000 + 1_000_000 * seed
@@ -131,8 +142,10 @@ def train(
     def check(*_: object) -> bool:
         nonlocal checked_s
         now_s = time.monotonic()
-        found = measure(task, algorithm, model, 8, 10_000_000)
+        found = measure(task, algorithm, model, 8, 10_000_000, **keywords)
         minutes = (now_s - begin_s - checked_s) / 60
+        if curve is not None:
+            curve.append({"steps": model.num_timesteps // rows, "minutes": minutes, **found})
         error = f", flange error {found['error_mm']:5.1f} mm" if task == SINE else ""
         print(
             f"{model.num_timesteps // rows:9} steps, {minutes:5.1f} min: return {found['return']:6.1f}{error}, "

@@ -81,21 +81,23 @@ class MixedStarts:
         of = drawn[held]
         task.skip(rows[held], states.passed[of])
 
-        def replaced(values: Array | None, begin: Array, found: Array) -> Array:
-            both = np.tile(begin, (len(rows), *[1] * np.ndim(begin))) if values is None else np.array(values)
+        def replaced(values: Array, found: Array) -> Array:
+            both = np.array(values)
             both[held] = found[of]
             return both
 
-        def all_replaced(
+        def by_name(
             given: Mapping[str, Array], begin: Mapping[str, Array], found: Mapping[str, Array]
         ) -> dict[str, Array]:
-            return {name: replaced(given.get(name), begin[name], found[name]) for name in found}
+            usual = {name: np.tile(value, (len(rows), *[1] * value.ndim)) for name, value in begin.items()}
+            return {name: replaced(given.get(name, usual[name]), values) for name, values in found.items()}
 
+        grippers = start.gripper_m
         return start._replace(
-            q_rad=replaced(start.q_rad, np.zeros(0), states.q_rad),
-            gripper_m=replaced(start.gripper_m, np.zeros(0), states.gripper_m),
-            commanded_m=replaced(start.gripper_m, np.zeros(0), states.commanded_m),
-            objects=all_replaced(start.objects, states.begin_objects, states.objects),
-            joints=all_replaced(start.joints, states.begin_joints, states.joints),
+            q_rad=replaced(start.q_rad, states.q_rad),
+            gripper_m=None if grippers is None else replaced(grippers, states.gripper_m),
+            commanded_m=None if grippers is None else replaced(grippers, states.commanded_m),
+            objects=by_name(start.objects, states.begin_objects, states.objects),
+            joints=by_name(start.joints, states.begin_joints, states.joints),
             payload_kg=task.declared_kg[rows],
         )

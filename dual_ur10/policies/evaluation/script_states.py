@@ -21,7 +21,7 @@ FIRST_SEED: Final = 900_000_000
 """Seed of the first of these episodes; no evaluation, check or training uses it."""
 
 
-def script_states(setup: EnvSetup, stages: Collection[int], episodes: int = EPISODES) -> ScriptStates:
+def script_states(setup: EnvSetup, stages: Collection[int]) -> ScriptStates:
     """Run the scripted policy of an environment, and return its states after some stages and before the next ones.
 
     It acts on nominal plants, by steps of the joints, whatever the environment's actions are. Only episodes that end
@@ -30,7 +30,6 @@ def script_states(setup: EnvSetup, stages: Collection[int], episodes: int = EPIS
     Args:
         setup: The environment.
         stages: Numbers of stages that are passed.
-        episodes: Number of episodes.
 
     Raises:
         SettingsError: The task has no scripted policy, or no episode with success has such a state.
@@ -42,7 +41,7 @@ def script_states(setup: EnvSetup, stages: Collection[int], episodes: int = EPIS
         )
     own = {each.name: getattr(setup.settings, each.name) for each in dataclasses.fields(setup.settings)}
     keywords = {"cell": setup.options.cell, "robot": setup.options.robot, **own}
-    policy, core = load("scripted", setup.env_id, **keywords), Core(setup.env_id, keywords, n=episodes)
+    policy, core = load("scripted", setup.env_id, **keywords), Core(setup.env_id, keywords, n=EPISODES)
     try:
         found, begin = _gathered(core, policy, stages)
     finally:
@@ -52,7 +51,7 @@ def script_states(setup: EnvSetup, stages: Collection[int], episodes: int = EPIS
             name = setup.task_type.stages[number - 1]
             raise SettingsError(
                 f"no episode of the scripted policy of {setup.env_id} has a state between the stage {name!r} and the "
-                f"next one and ends with success, of {episodes}: leave {name!r} out of starts"
+                f"next one and ends with success, of {EPISODES}: leave {name!r} out of starts"
             )
 
     def column(name: str) -> Array:

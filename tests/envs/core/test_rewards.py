@@ -103,3 +103,19 @@ def test_terms_without_a_weight_each_are_refused(change, found):
     )
     with pytest.raises(TaskError, match=f"SineTracking returned {found}: return 3, one for each"):
         core.step(np.zeros(12))
+
+
+def test_new_progress_is_what_an_arm_earns_beyond_its_best_step():
+    core = Core(SINE, {"progress_weight": 2.0}, n=2)
+    core.reset([np.random.default_rng(seed) for seed in range(2)])
+    rng, best = np.random.default_rng(0), np.full((2, 2), np.inf)
+    for k in range(30):
+        if k == 15:  # the other row goes on
+            core.reset([np.random.default_rng(5)], np.array([0]))
+            best[0] = np.inf
+        step = core.step(rng.uniform(-1.0, 1.0, (2, 12)))
+        *terms, _, found = np.moveaxis(core.agents.terms, -1, 0)
+        income = sum(term * core.weights[name] for term, name in zip(terms, core.task.weights, strict=True))
+        np.testing.assert_allclose(found, np.maximum(income - best, 0.0), atol=1e-12)
+        best = np.where(np.isinf(best), income, np.maximum(best, income))
+        np.testing.assert_allclose(step.info["reward/progress"], found.mean(axis=1))

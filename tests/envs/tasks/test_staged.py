@@ -277,3 +277,27 @@ def test_no_load_is_declared_at_the_begin_of_an_episode():
     task.forget_load(np.array([1, 3]))
     assert before.tolist() == [[0.5, 1.0]] * N  # it is the caller's
     assert task._declared_kg.tolist() == [[0.5, 1.0], [0.0, 0.0]] * 2
+
+
+def test_an_episode_may_end_after_a_stage_with_what_the_stages_until_there_earn():
+    task = begun()
+    task.end_after("carry")
+    passes = [True, True, False]
+    first = task.evaluate(None, now(passes, progress=1.0))
+    assert (task.passed == 2).all()
+    assert (first.terms[..., 2] == 0.0).all()  # a later stage
+    second = task.evaluate(None, now([True, True, True]))
+    third = task.evaluate(None, now(passes))
+    assert not first.terminal.any()
+    assert not second.terminal.any()
+    assert third.success.all()
+    assert third.terms[0, 0, -1] == pytest.approx((50 - 3) * 0.8)
+
+
+def test_a_start_after_a_stage_has_its_load():
+    task = begun()
+    task.forget_load(np.arange(N))
+    task.skip(np.array([1, 3]), np.array([1, 2]))
+    assert task.passed.tolist() == [0, 1, 0, 2]
+    assert task.declared_kg[[1, 3]].tolist() == task.load_kg()[[1, 3]].tolist() == [[0.5, 1.0], [0.0, 0.0]]
+    assert task.declared_kg[[0, 2]].tolist() == [[0.0, 0.0]] * 2

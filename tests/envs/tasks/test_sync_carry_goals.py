@@ -186,3 +186,17 @@ def test_the_saturated_step_and_lag_are_those_of_the_commanded_tool():
     goal = measured + lag_m + step  # of a tool beside the bar: above its grip
     assert (goal[:, 2] > 0.02).all()
     assert goal[:, 1] == pytest.approx([0.5, -0.5], abs=0.03)
+
+
+def test_the_observed_speed_is_that_of_the_grips_on_the_reference():
+    settings, ahead_s = CarrySettings(path_speed=True), 1e-4
+    goals = CarryGoals(1, settings, SceneSettings().mounts)
+    begin = Poses(np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0, 0.0]]))
+    for time_s in (1.0, 13.3, 20.1, 24.0):
+        bars = CarryPath(30.0)(np.array([[time_s, time_s, time_s + ahead_s]]), begin)
+        linear, angular = goals.speeds(SimpleNamespace(frames=frame_of(bars)), ahead_s)
+        grips = compose(Poses(bars.position_m[0, :, None], bars.quat[0, :, None]), settings.grip).position_m
+        np.testing.assert_allclose(linear[0], (grips[2] - grips[1]) / ahead_s, atol=1e-9)
+        turn = quat_multiply(bars.quat[0, 2], bars.quat[0, 1] * [1, -1, -1, -1])
+        np.testing.assert_allclose(angular[0], np.tile(2.0 * turn[1:] / ahead_s, (2, 1)), atol=1e-6)
+        assert np.abs(linear).max() + np.abs(angular).max() > 0.01

@@ -191,6 +191,7 @@ _RANGES: dict[str, dict[str, tuple[list[Any], list[Any]]]] = {
         "grasp": ([], []),  # other spaces, so refused
         "payload": ([], ["unknown"]),
         "grip_force_n": ([], [80.0]),
+        "path_speed": ([], []),  # other spaces, so refused
         "object_range_m": ([0.0, 0.02], [0.021]),
         "object_turn_rad": ([0.0, 0.05], [0.051]),
         "success_error_m": ([], [0.011]),

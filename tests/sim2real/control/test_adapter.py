@@ -672,3 +672,35 @@ def test_the_first_target_after_a_reset_is_the_start() -> None:
 def test_the_commanded_range_is_the_hard_one_by_default() -> None:
     adapter = at_home(mode="joint_position")
     np.testing.assert_allclose(adapter.action_bounds[1][0], JOINT_RANGE_RAD - JOINT_MARGIN_RAD)
+
+
+def test_steps_of_translation_keep_the_orientation_of_each_tool():
+    adapter = at_home(mode="tcp_translation", gripper=True, tcp_m=(TOOL, TOOL))
+    assert adapter.action_size == 4
+    before = [flange_pose(adapter.commanded_q_rad[:, arm], NOMINAL_DH) for arm in range(2)]
+    rng, step = np.random.default_rng(0), np.zeros((1, 2, 4))
+    for k in range(60):
+        if k % 10 == 0:
+            step = rng.uniform(-1.0, 1.0, (1, 2, 4))
+        adapter(step)
+        if k == 30:  # a brake leaves the arms rotated a little
+            turned = adapter.commanded_q_rad
+            turned[..., 5] += 0.02
+            adapter.reset(turned, begins=False)
+    after = [flange_pose(adapter.commanded_q_rad[:, arm], NOMINAL_DH) for arm in range(2)]
+    for (begin_m, begin), (end_m, end) in zip(before, after, strict=True):
+        assert np.linalg.norm(end_m - begin_m) > 0.02
+        np.testing.assert_allclose(end, begin, atol=1e-6)
+
+
+def test_a_gripper_action_of_the_grip_is_open_at_zero_and_closes_a_little_beyond_the_object():
+    adapter = at_home(mode="tcp_delta", gripper=True, closed_m=(0.034, 0.02))
+    widths_m = []
+    for number in (-2.0, -1.0, -0.5, 0.0, 1.0, 3.0, np.nan):
+        action = np.zeros((1, 2, 7))
+        action[..., 6] = number
+        widths_m.append(adapter(action).gripper_m[0, -1])
+    open_m = adapter.stroke_m
+    closed_m = np.array([0.034, 0.02])
+    wanted = [closed_m, closed_m, (open_m + closed_m) / 2, open_m, open_m, open_m, open_m]
+    np.testing.assert_allclose(widths_m, wanted, atol=1e-12)

@@ -1,5 +1,6 @@
 """Benchmarks that nobody runs for a while still run."""
 
+import dataclasses
 import functools
 import importlib
 import json
@@ -8,6 +9,8 @@ import sys
 
 import pytest
 
+from dual_ur10 import policies
+from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.policies import evaluate
 from dual_ur10.policies.training.settings import defaults
 
@@ -88,6 +91,28 @@ def test_stock_learners_are_measured(monkeypatch):
     assert found["stock_td3"]["steps"] == 128
     assert found["snippet"]["return_ratio"] < found["zero_ratio"]  # of an episode of 10 steps
     assert found["snippet"]["error_mm"] > 0.0
+
+
+def test_a_ladder_goes_on_where_it_was_ended(monkeypatch, tmp_path):
+    pytest.importorskip("stable_baselines3")
+    monkeypatch.syspath_prepend(FOLDER)
+    monkeypatch.syspath_prepend(FOLDER.parent / "examples")
+    ladder = importlib.import_module("ladder")
+    sine = ladder.RUNGS["SineTracking-v0"].but(duration_s=0.4)
+    monkeypatch.setitem(ladder.RUNGS, "SineTracking-v0", dataclasses.replace(sine, steps={"PPO": 128}, short=5))
+    found = ladder.climb(tmp_path, ["SineTracking-v0"], ["ppo"], [3], episodes=2)
+    row = json.loads((tmp_path / "SineTracking-v0-ppo-3.json").read_text())
+    assert (row["of"], row["steps"]) == (2, 1024)
+    assert found["SineTracking-v0"]["ppo"]["successes"] == [row["successes"]]
+    assert policies.load(tmp_path / "SineTracking-v0-ppo-3", "SineTracking", **sine.keywords)
+    seeds = []
+    monkeypatch.setattr(ladder, "run", lambda rung, learner, seed, *_: {**row, "seed": seeds.append(seed) or seed})
+    again = ladder.climb(tmp_path, ["SineTracking-v0"], ["ppo"], [2, 3, 4], episodes=2)
+    assert seeds == [2, 4]
+    assert again["SineTracking-v0"]["ppo"]["seeds"] == [2, 3, 4]
+    assert len(again["SineTracking-v0"]["ppo"]["minutes"]) == 3
+    for rung in ladder.RUNGS.values():
+        assert EnvSetup.resolve(rung.task, {**rung.keywords, "starts": rung.starts}).options.concise
 
 
 def test_baselines_are_measured_and_continued(monkeypatch, tmp_path):

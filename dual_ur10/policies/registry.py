@@ -163,8 +163,8 @@ def load(name: str | os.PathLike[str], env_id: str | None = None, **keywords: An
     Args:
         name: One of `NAMES`; the path of a checkpoint's folder; or "package.module:Class", a class of your own. It is
             made with those of the arguments `timing`, `action_mode`, `action_scale`, `mounts`, `limits`, `settings`,
-            `tools` and `grippers` that it takes; without an environment, with none. Or the address of a policy server,
-            "remote:ws://HOST:PORT". Other text that contains a "/" or names an existing file is a path.
+            `tools`, `grippers` and `closed_m` that it takes; without an environment, with none. Or the address of a
+            policy server, "remote:ws://HOST:PORT". Other text that contains a "/" or names an existing file is a path.
         env_id: Id of the environment, or its short form. None: that of the checkpoint; a name requires an id.
         **keywords: As for `gym.make`. A policy ignores those that concern neither task nor cell. Without `env_id` and
             keywords, the checkpoint's own keywords apply.

@@ -41,11 +41,11 @@ def succeeded(core, observation, **keywords):
 
 
 def test_what_is_held_at_the_start_stays_where_it_is():
-    core, _ = begun(4, starts={"lift": 0.5, "mutual_grasp": 0.5})
+    core, _ = begun(6, starts={"lift": 0.5, "mutual_grasp": 0.5})
     begin_m, passed = core.state.objects["block"].position_m.copy(), core.task.passed.copy()
     assert {*passed} == {3, 5}
     for _ in range(10):
-        step = core.step(np.tile([*[0.0] * 6, -1.0], (4, 2)))  # closed fingers
+        step = core.step(np.tile([*[0.0] * 6, -1.0], (6, 2)))  # closed fingers
     moved_m = core.state.objects["block"].position_m - begin_m
     assert np.abs(moved_m).max() < 1e-3
     assert step.info["slip_m"].max() < 1e-3
@@ -82,13 +82,11 @@ def test_starts_have_their_ratios():
 def test_normal_starts_beside_them_are_those_of_the_task():
     """A prop that a task leaves out lies where its scene has it, also where another row begins after a stage."""
     states = script_states.ScriptStates(
-        *(
-            np.zeros(1, dtype=np.int64),
-            np.ones(1, dtype=np.int64),
-            np.ones((1, 2, 6)),
-            np.ones((1, 2)),
-            np.zeros((1, 2)),
-        ),
+        np.array([7]),
+        np.array([1]),
+        np.ones((1, 2, 6)),
+        np.ones((1, 2)),
+        np.zeros((1, 2)),
         {"cup": np.full((1, 7), 2.0)},
         {},
         {"cup": np.full(7, 3.0)},

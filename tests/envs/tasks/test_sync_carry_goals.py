@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import copy
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from dual_ur10 import policies
+from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.envs.core.core import Core
-from dual_ur10.envs.tasks.geometry import APPROACH_M, flanges_of
+from dual_ur10.envs.tasks.geometry import APPROACH_M, flanges_of, frame_of
+from dual_ur10.envs.tasks.sync_carry.goals import CarryGoals
+from dual_ur10.envs.tasks.sync_carry.path import CarryPath
 from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings
 from ur_core.kinematics import nearest
 from ur_core.kinematics.frames import Frames

@@ -346,7 +346,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         return CarryMeasured(clock[:, 0], poses[:, BAR_POSE, :3].copy(), grasped, force)
 
     def observe(self, state: CellState, measured: CarryMeasured, commanded_q_rad: Array) -> Array:
-        """Assemble the observations, (n, 170), or (n, 162) with a rigid grasp."""
+        """Assemble the observations, (n, 170), or (n, 162) with a rigid grasp; `path_speed` adds 12."""
         clock, grasped = measured.clock_s, measured.grasped
         in_bases, wanted = grasped.in_bases, self._goals(grasped, commanded_q_rad)
         values = {

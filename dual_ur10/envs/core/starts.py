@@ -69,16 +69,16 @@ class MixedStarts:
 
     def begin(self, task: StagedTask[Any, Any, Any], rows: Rows, rngs: Sequence[np.random.Generator]) -> Start:
         """Begin episodes in `rows`, as `Task.start` does, some of them after a stage."""
-        drawn, states = np.array([self._draw(rng) for rng in rngs]), self.states
+        chosen, states = np.array([self._draw(rng) for rng in rngs]), self.states
         # A task begins the same episode with an equal generator, that of the script's episode here.
         begun = [
             rng if index < 0 else np.random.default_rng(int(states.seeds[index]))
-            for rng, index in zip(rngs, drawn.tolist(), strict=True)
+            for rng, index in zip(rngs, chosen.tolist(), strict=True)
         ]
-        start, held = task.start(rows, begun), np.flatnonzero(drawn >= 0)
+        start, held = task.start(rows, begun), np.flatnonzero(chosen >= 0)
         if not held.size:
             return start
-        of = drawn[held]
+        of = chosen[held]
         task.skip(rows[held], states.passed[of])
 
         def replaced(values: Array, found: Array) -> Array:

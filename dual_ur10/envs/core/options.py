@@ -99,7 +99,8 @@ class EnvOptions:
         starts: Ratios of the episodes that begin, at rest, in a state of the scripted policy after a stage, by the
             names of the task's stages: {"lift": 0.2} begins a fifth of them after `lift`. For training, in simulation
             alone; the others begin as always. None: all do.
-        until: Stage whose passing is the success of an episode, so that later stages earn nothing; None: the last one.
+        until: Stage whose passing is the success of an episode. Later ones earn only what an arm earns before they
+            begin, such as for waiting. None: the last one.
         confirm: Function that is called on two controllers with a text before the arms move to the start of an episode;
             it returns True to permit the motion. Later resets then need no other consent. None: real arms ask for a
             confirmation at the terminal, emulated ones do not.

@@ -180,16 +180,21 @@ class StagedTask(Task[SettingsT, MeasuredT], Generic[SettingsT, MeasuredT, NowT]
             values[rows] = 0
 
     def end_after(self, name: str) -> None:
-        """Let the condition of this stage end episodes with success; later ones earn nothing.
+        """Let the condition of this stage end episodes with success.
 
-        `FINISH` replaces what the stages up to this one earn in each step.
+        Of later stages a role earns only what it earns before they begin, such as for waiting. `FINISH` replaces what
+        is earned in each step then.
 
         Args:
             name: One of `stages`.
         """
         self._last = self.stages.index(name) + 1
-        earned = sum(self.weights[each] for each in self.stages[: self._last])
-        self._worth = 1.0 if self._last == len(self.stages) else earned
+        marks: list[_Stage] = [each.stage for each in self._stages]  # type: ignore[attr-defined]
+        weight, earned, early = (np.array(each) for each in list(zip(*marks, strict=True))[:3])
+        later = np.arange(len(marks)) >= self._last
+        self._due = self._due * (early.T | ~later)
+        if later.any():
+            self._worth = float(weight @ np.where(later, (earned * early).mean(axis=1), 1.0))
 
     def skip(self, rows: Rows, passed: Rows) -> None:
         """Let episodes that have just begun in `rows` continue from where these numbers of stages are passed.
@@ -264,12 +269,12 @@ class StagedTask(Task[SettingsT, MeasuredT], Generic[SettingsT, MeasuredT, NowT]
         passed, count = self.passed, len(self._stages)
         progress, done = np.zeros((self.n, 2, count)), np.zeros(self.n, dtype=bool)
         least, most = self._passed_by_rows()
-        for number, method in enumerate(self._stages[: self._last]):
-            last = number == self._last - 1 and most == self._last
-            if not (least <= number <= most or last or self._early[number]):
+        for number, method in enumerate(self._stages):
+            last, later = number == self._last - 1 and most == self._last, number >= self._last
+            if not (self._early[number] or (not later and (least <= number <= most or last))):
                 continue  # no row is at this stage, or comes to it in this step
             condition, both = method(self, now)
-            if condition is not False:
+            if condition is not False and not later:
                 passed += condition & (passed == number)
                 least, most = self._passed_by_rows()
             first, second = both if isinstance(both, tuple) else (both, both)

@@ -294,6 +294,16 @@ def test_an_episode_may_end_after_a_stage_with_what_the_stages_until_there_earn(
     assert third.terms[0, 0, -1] == pytest.approx((50 - 3) * 0.8)
 
 
+def test_an_arm_still_earns_its_waiting_for_later_stages():
+    task = begun()
+    task.end_after("go")
+    found = task.evaluate(None, now([True, True, True], progress=0.5))
+    assert (task.passed == 1).all()
+    assert found.terms[0].tolist() == [[2.0, 0.0, 0.0, 0.0], [0.0, 0.5, 0.0, 0.0]]
+    task.evaluate(None, now(True))
+    assert task.evaluate(None, now(True)).terms[0, 0, -1] == pytest.approx((50 - 3) * (0.5 + 0.3 / 2))
+
+
 def test_a_start_after_a_stage_has_its_load():
     task = begun()
     task.forget_load(np.arange(N))

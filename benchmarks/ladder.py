@@ -27,6 +27,7 @@ from dual_ur10.policies import evaluate
 from dual_ur10.policies.evaluation.results import Evaluation
 from dual_ur10.policies.learned import checkpoint
 from dual_ur10.policies.learned.from_sb3 import converted
+from dual_ur10.policies.learned.manifest import AgentsKind
 from dual_ur10.policies.training import state
 from dual_ur10.policies.training.settings import defaults
 from dual_ur10.policies.training.train import train
@@ -204,7 +205,7 @@ def _stock(
         **rung.keywords,
     )
     found = example.measure(rung.task, algorithm, model, episodes, 0, **rung.keywords)
-    agents = "joint" if rung.task == example.SINE and algorithm == "PPO" else "shared"
+    agents: AgentsKind = "joint" if rung.task == example.SINE and algorithm == "PPO" else "shared"
     checkpoint.save(place, *converted(model, _env_id(rung), agents=agents, **rung.keywords))
     return steps, minutes, float(found["success"]), curve
 

@@ -286,7 +286,7 @@ def _checked_starts(starts: object) -> dict[str, float]:
     if not isinstance(starts, Mapping) or not starts:
         raise SettingsError(f"starts are {starts!r:.200}: they must be a mapping, such as {{'lift': 0.2}}, or None")
     for name, value in starts.items():
-        if isinstance(value, bool) or not isinstance(value, numbers.Real) or not 0.0 < value <= 1.0:
+        if isinstance(value, bool) or not isinstance(value, numbers.Real) or not 0.0 < float(value) <= 1.0:
             raise SettingsError(f"starts[{name!r}] is {value!r}: it must be a number above 0 and at most 1")
     found = {name: float(value) for name, value in starts.items()}
     if sum(found.values()) > 1.0 + 1e-9:

@@ -54,14 +54,18 @@ def script_states(setup: EnvSetup, stages: Collection[int]) -> ScriptStates:
                 f"next one and ends with success, of {EPISODES}: leave {name!r} out of starts"
             )
 
-    def column(name: str) -> Array:
+    def column(name: str) -> Any:
         return np.array([each[name] for each in found])
 
     def by_name(kind: str) -> dict[str, Array]:
         return {name: np.array([each[kind][name] for each in found]) for name in begin[kind]}
 
     return ScriptStates(
-        *(column(name) for name in ("seed", "passed", "q_rad", "gripper_m", "commanded_m")),
+        column("seed"),
+        column("passed"),
+        column("q_rad"),
+        column("gripper_m"),
+        column("commanded_m"),
         by_name("objects"),
         by_name("joints"),
         begin["objects"],

@@ -675,7 +675,7 @@ def test_the_commanded_range_is_the_hard_one_by_default() -> None:
 
 
 def test_steps_of_translation_keep_the_orientation_of_each_tool():
-    adapter = at_home(mode="tcp_translation", gripper=True, tcp_m=(TOOL, TOOL))
+    adapter = at_home(mode="tcp_translation", gripper=True, tcp_m=(0.15, 0.15))
     assert adapter.action_size == 4
     before = [flange_pose(adapter.commanded_q_rad[:, arm], NOMINAL_DH) for arm in range(2)]
     rng, step = np.random.default_rng(0), np.zeros((1, 2, 4))

@@ -321,7 +321,12 @@ class ServojAdapter:
         else:
             self._action[:] = action
         if self._closing is not None and self.gripper:
-            self._action[..., 6] = 1.0 + self._closing * np.clip(self._action[..., 6], -1.0, 0.0)
+            asked = self._action[..., 6].copy()
+            grip = 1.0 + self._closing * np.clip(asked, -1.0, 0.0)
+            self._action[..., 6] = np.where(np.isfinite(asked), grip, asked)
+            # The kernel counts a cell once, by the numbers that it sees: these are within the bounds there.
+            inside = (np.abs(self._action) <= 1.0 + _ROUNDING).all(axis=(1, 2))
+            self._clipped += inside & (np.abs(asked) > 1.0 + _ROUNDING).any(axis=1)
         if self._cartesian:
             self._cartesian_goal[:] = self._tcp_goal(self._action[..., :6]).reshape(self.n, 12)
         self._step()

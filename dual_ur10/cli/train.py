@@ -66,7 +66,9 @@ _Corrector = Annotated[
         "--dataset errs; the person's steps are the labels.",
     ),
 ]
-_Dataset = Annotated[str, typer.Option("--dataset", metavar="ID", help="bc, dagger: a Minari dataset to start from.")]
+_Dataset = Annotated[
+    str, typer.Option("--dataset", metavar="ID", help="bc, dagger, act: a Minari dataset to start from.")
+]
 
 
 def train(
@@ -78,7 +80,7 @@ def train(
             help="An id, such as DualUR10/SineTracking-v0, or its short form SineTracking; `list` names all.",
         ),
     ] = None,
-    algo: Annotated[str, typer.Option("--algo", "-a", help="ppo, sac, bc or dagger.")] = "dagger",
+    algo: Annotated[str, typer.Option("--algo", "-a", help="ppo, sac, bc, dagger or act.")] = "dagger",
     agents: _Agents = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder to create.")] = None,
     envs: Annotated[int | None, typer.Option("--envs", min=1, help="Number of cells stepped together.")] = None,
@@ -95,7 +97,7 @@ def train(
     ] = None,
     threads: Annotated[int | None, typer.Option("--threads", min=1, help="Threads that step the cells.")] = None,
 ) -> None:
-    """Train a policy and save it as a checkpoint: by imitation (dagger, bc) or by reinforcement learning (ppo, sac)."""
+    """Train a policy and save it as a checkpoint, by imitation (dagger, bc, act) or reinforcement (ppo, sac)."""
     from dual_ur10.policies.training import train as trainings
 
     if resume is not None:

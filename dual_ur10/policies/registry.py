@@ -189,9 +189,7 @@ def load(name: str | os.PathLike[str], env_id: str | None = None, **keywords: An
     if name in LEARNED_NAMES and env_id is not None:
         name = shipped_folder(str(name), env_id)
     if is_path(name):
-        from dual_ur10.policies.learned import checkpoint
-
-        return checkpoint.load(name, env_id, **keywords)
+        return _of_checkpoint(name, env_id, keywords)
     if name not in NAMES:
         raise UnknownNameError("policy", str(name), NAMES, OTHERS)
     if env_id is None:
@@ -200,6 +198,22 @@ def load(name: str | os.PathLike[str], env_id: str | None = None, **keywords: An
             "checkpoint does without"
         )
     return _scripted(env_id, keywords)
+
+
+def _of_checkpoint(folder: str | os.PathLike[str], env_id: str | None, keywords: Mapping[str, Any]) -> Policy:
+    """Return the policy of a checkpoint; one of chunks with its executor."""
+    from dual_ur10.policies.learned import checkpoint
+    from dual_ur10.policies.learned.signature import view_of_signature
+
+    policy = checkpoint.load(folder, env_id, **keywords)
+    made = policy.manifest.signature
+
+    def setup() -> EnvSetup:
+        own = env_id is None and not keywords
+        return view_of_signature(made).setup if own else setup_of(made.env_id, keywords)
+
+    found: Policy = executed(policy, setup)
+    return found
 
 
 @contextmanager
@@ -361,14 +375,13 @@ def keywords_for(policy: Policy | str | os.PathLike[str], env_id: str, keywords:
         UnknownNameError: No learned policy for this environment.
         CheckpointError: The checkpoint cannot be read, or has changed since it was saved.
     """
-    from dual_ur10.policies.learned.checkpoint import read_manifest
-    from dual_ur10.policies.learned.learned_policy import LearnedPolicy
+    from dual_ur10.policies.learned.checkpoint import manifest_of, read_manifest
 
     if isinstance(policy, str | os.PathLike):
         folder = shipped_folder(str(policy), env_id) if policy in LEARNED_NAMES else policy
         manifest = read_manifest(folder) if is_path(folder) else None
     else:
-        manifest = policy.manifest if isinstance(policy, LearnedPolicy) else None
+        manifest = manifest_of(policy)
     if manifest is None:
         return dict(keywords)
     signature = manifest.signature
@@ -411,9 +424,9 @@ def make(
     if isinstance(policy, str):
         check_name(policy)
     given: Any = policy
+    keywords = keywords_for(given, env_id, keywords)
     if not isinstance(policy, str | os.PathLike):
         given = as_policy(executed(policy, lambda: setup_of(env_id, keywords)))
-    keywords = keywords_for(given, env_id, keywords)
     # Before anything is connected or a folder of the run is made.
     actor = load_named(given, env_id, keywords) if isinstance(given, str | os.PathLike) else given
     with wrong_types_named(env_id):

@@ -341,7 +341,7 @@ def executor_for(source: ChunkPolicy, setup: EnvSetup, **options: Any) -> ChunkE
     """Return the executor of a chunk policy in an environment.
 
     Args:
-        source: The chunk policy.
+        source: The chunk policy. It may have an attribute `latency_s`, which then is the default of the option.
         setup: The environment, such as `env.unwrapped.core.setup`.
         **options: `latency_s`, `replan_s` and `silent_s` of `ChunkExecutor`.
 
@@ -350,6 +350,7 @@ def executor_for(source: ChunkPolicy, setup: EnvSetup, **options: Any) -> ChunkE
         ChunkError: The source is no chunk policy.
     """
     task = setup.make_task()
+    options.setdefault("latency_s", getattr(source, "latency_s", None))
     return ChunkExecutor(
         source,
         timing=setup.timing,

@@ -22,7 +22,6 @@ from dual_ur10.policies.baselines import RandomPolicy, ZeroPolicy
 from dual_ur10.policies.evaluation.results import EpisodeResult, Evaluation
 from dual_ur10.policies.evaluation.rollout import act
 from dual_ur10.policies.learned.checkpoint import warn_outside
-from dual_ur10.policies.learned.learned_policy import LearnedPolicy
 from dual_ur10.policies.policy import EpisodeAware, FunctionPolicy, Policy, as_policy, close_policy, policy_name
 from dual_ur10.policies.registry import (
     check_name,
@@ -101,12 +100,11 @@ def evaluate(
     env_id = env_id_beside(policy, env_id)
     if isinstance(policy, str):
         check_name(policy)
-    else:
-        policy = as_policy(executed(policy, lambda: setup_of(env_id, dict(env_kwargs or {}))))
-    given = dict(env_kwargs or {})
+    given = keywords_for(policy, env_id, dict(env_kwargs or {}))
+    if not isinstance(policy, str):
+        policy = as_policy(executed(policy, lambda: setup_of(env_id, given)))
     if given.get("record") is not None:
         given = {"record_about": provenance(policy, env_id), **given}
-    given = keywords_for(policy, env_id, given)
     keywords = {name: value for name, value in given.items() if name not in _RECORD}
     actor = load_named(policy, env_id, keywords)  # before anything is connected or a folder of the run is made
     env = _make(env_id, min(num_envs, episodes), given)
@@ -320,8 +318,7 @@ def actor_of(policy: Policy | str, env: Any) -> Policy:
     Raises:
         PolicyError: It is no policy.
     """
-    if isinstance(policy, LearnedPolicy):
-        warn_outside(policy, env)
+    warn_outside(policy, env)
     if policy == "random":
         return RandomPolicy(env.single_action_space, env.num_envs)
     if isinstance(policy, FunctionPolicy):

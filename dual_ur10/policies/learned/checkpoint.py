@@ -4,6 +4,9 @@
                          "left. ..." and "right. ..." where each arm has a network of its own
     manifest.json        everything else; see `dual_ur10.policies.learned.manifest.Manifest`
 
+The weights of an ACT are in model.safetensors, under LeRobot's names. LeRobot's own files stand beside it; see
+`dual_ur10.policies.learned.lerobot_files`.
+
 Both files are read once and in full. No link is followed, nothing is allocated that the manifest does not account for,
 and a changed file is refused. A checksum shows damage and carelessness. It does not show who made a checkpoint: a
 policy moves arms, so know whose policy moves yours.
@@ -36,9 +39,11 @@ from dual_ur10.envs.core.randomization import PRESETS, Randomization, resolve_ra
 from dual_ur10.errors import CheckpointError
 from dual_ur10.ids import __version__, env_id_of, received
 from dual_ur10.policies.learned import schema
+from dual_ur10.policies.learned.act_network import ActShape
+from dual_ur10.policies.learned.act_policy import ActPolicy
 from dual_ur10.policies.learned.learned_policy import LearnedPolicy
+from dual_ur10.policies.learned.lerobot_files import lerobot_files
 from dual_ur10.policies.learned.manifest import Manifest, parse
-from dual_ur10.policies.learned.network import Layer
 from dual_ur10.policies.learned.signature import (
     OPTIONS,
     EnvironmentSignature,
@@ -53,13 +58,14 @@ from ur_core.files import sync_folder
 log = logging.getLogger(__name__)
 
 WEIGHTS: Final = "policy.safetensors"
+ACT_WEIGHTS: Final = "model.safetensors"
 MANIFEST: Final = "manifest.json"
 
 _NAME: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}", re.ASCII)
 _MOST_HEADER: Final = 64 * 1024  # of the weights' file, beside the numbers
 
-Networks = Sequence[Sequence[tuple[NDArray[Any], NDArray[Any]]]]
-"""For each network its layers, weight (out, in) and bias (out,), as PyTorch has them."""
+Networks = Sequence[Sequence[tuple[NDArray[Any], NDArray[Any]]] | Mapping[str, NDArray[Any]]]
+"""For each network its layers, weight (out, in) and bias (out,), as PyTorch has them; or the tensors of an ACT."""
 
 
 def save(folder: str | os.PathLike[str], networks: Networks, manifest: Manifest) -> Manifest:
@@ -87,8 +93,10 @@ def save(folder: str | os.PathLike[str], networks: Networks, manifest: Manifest)
     except OSError as error:
         raise CheckpointError(f"cannot write {path}: {_reason(error)}") from error
     try:
-        _write(part / WEIGHTS, weights)
+        _write(part / _weights_name(manifest), weights)
         _write(part / MANIFEST, text)
+        for name, content in lerobot_files(written).items():
+            _write(part / name, content)
         sync_folder(part)
         # Fails if something else is there by now; only an empty folder is replaced.
         os.rename(part, path)
@@ -119,8 +127,22 @@ def check_new(folder: str | os.PathLike[str]) -> Path:
     return path
 
 
-def load(folder: str | os.PathLike[str], env: Any = None, **keywords: Any) -> LearnedPolicy:
+def policy_of(manifest: Manifest, networks: Networks) -> LearnedPolicy | ActPolicy:
+    """Return the policy with these weights."""
+    made: Any = networks
+    return (ActPolicy if isinstance(manifest.network, ActShape) else LearnedPolicy)(manifest, made)
+
+
+def manifest_of(policy: object) -> Manifest | None:
+    """Return the manifest of a learned policy, or of the one that an executor of chunks asks; None: it is none."""
+    source = getattr(policy, "source", policy)
+    return source.manifest if isinstance(source, LearnedPolicy | ActPolicy) else None
+
+
+def load(folder: str | os.PathLike[str], env: Any = None, **keywords: Any) -> LearnedPolicy | ActPolicy:
     """Load the policy of a checkpoint, after a check that it was made for this environment.
+
+    The policy of an ACT is a chunk policy, of which `dual_ur10.policies.load` makes a policy.
 
     Args:
         folder: Folder of the checkpoint.
@@ -133,7 +155,7 @@ def load(folder: str | os.PathLike[str], env: Any = None, **keywords: Any) -> Le
         DualUR10Error: The keywords make no environment.
     """
     path = Path(os.path.abspath(folder))
-    manifest, weights, _ = _read(path)
+    manifest, networks, _ = _read(path)
     if env is None and not keywords:
         view = view_of_signature(manifest.signature)
     elif env is None or isinstance(env, str):
@@ -144,7 +166,16 @@ def load(folder: str | os.PathLike[str], env: Any = None, **keywords: Any) -> Le
     else:
         view = view_of_env(env)
     _check(path, manifest, view)
-    return LearnedPolicy(manifest, weights)
+    return policy_of(manifest, networks)
+
+
+def read(folder: str | os.PathLike[str]) -> tuple[Manifest, Networks]:
+    """Return the manifest and the weights of a checkpoint.
+
+    Raises:
+        CheckpointError: It cannot be read, or was changed since it was saved.
+    """
+    return _read(Path(os.path.abspath(folder)))[:2]
 
 
 def read_manifest(folder: str | os.PathLike[str]) -> Manifest:
@@ -180,18 +211,30 @@ def signature_of(env: Any, **keywords: Any) -> EnvironmentSignature:
 
 
 def _tensors(networks: Networks, manifest: Manifest) -> dict[str, NDArray[np.float32]]:
-    names, pairs = manifest.names, manifest.network.pairs
-    if len(networks) != len(names) or any(len(layers) != len(pairs) for layers in networks):
+    names, shapes = manifest.names, manifest.network.tensors
+    flat = [each if isinstance(each, Mapping) else _flat_layers(each) for each in networks]
+    if len(flat) != len(names) or any(each.keys() != shapes.keys() for each in flat):
         raise CheckpointError(
-            f"there are {[len(layers) for layers in networks]} layers in the networks: {manifest.agents} needs "
-            f"{[len(pairs)] * len(names)}"
+            f"there are {[len(each) for each in flat]} tensors in the networks: {manifest.agents} needs "
+            f"{[len(shapes)] * len(names)}, {', '.join(shapes):.200}"
         )
-    result = {}
-    for name, layers in zip(names, networks, strict=True):
-        for k, ((inputs, outputs), layer) in enumerate(zip(pairs, layers, strict=True)):
-            for kind, array, shape in zip(("weight", "bias"), layer, ((outputs, inputs), (outputs,)), strict=True):
-                result[f"{name}.{k}.{kind}"] = _checked(f"{name}.{k}.{kind}", np.asarray(array), shape)
-    return result
+    return {
+        f"{name}.{key}": _checked(f"{name}.{key}", np.asarray(each[key]), shape)
+        for name, each in zip(names, flat, strict=True)
+        for key, shape in shapes.items()
+    }
+
+
+def _flat_layers(layers: Sequence[tuple[NDArray[Any], NDArray[Any]]]) -> dict[str, NDArray[Any]]:
+    return {
+        f"{k}.{kind}": array
+        for k, layer in enumerate(layers)
+        for kind, array in zip(("weight", "bias"), layer, strict=True)
+    }
+
+
+def _weights_name(manifest: Manifest) -> str:
+    return ACT_WEIGHTS if isinstance(manifest.network, ActShape) else WEIGHTS
 
 
 def _checked(name: str, array: NDArray[Any], shape: tuple[int, ...]) -> NDArray[np.float32]:
@@ -213,7 +256,7 @@ def _reason(error: OSError) -> str:
     return error.strerror or str(error)
 
 
-def _read(path: Path) -> tuple[Manifest, list[list[Layer]], bytes]:
+def _read(path: Path) -> tuple[Manifest, Networks, bytes]:
     try:
         # Everything through one handle: exchanging the folder meanwhile has no effect.
         folder = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
@@ -228,8 +271,9 @@ def _read(path: Path) -> tuple[Manifest, list[list[Layer]], bytes]:
         text = _content(folder, MANIFEST, schema.MOST_BYTES, where)
         manifest = parse(text, where)
         size = 4 * manifest.network.parameters * len(manifest.names)
-        where = f"{path}/{WEIGHTS}"
-        weights = _content(folder, WEIGHTS, size + _MOST_HEADER, where)
+        name = _weights_name(manifest)
+        where = f"{path}/{name}"
+        weights = _content(folder, name, size + _MOST_HEADER, where)
     finally:
         os.close(folder)
     found = hashlib.sha256(weights).hexdigest()
@@ -238,7 +282,7 @@ def _read(path: Path) -> tuple[Manifest, list[list[Layer]], bytes]:
             f"{where} is not the file that was saved: its sha256 is {found[:12]}..., the manifest has "
             f"{manifest.weights_sha256[:12] or 'none'}...: get the checkpoint anew"
         )
-    return manifest, _layers(weights, manifest, where), text
+    return manifest, _networks(weights, manifest, where), text
 
 
 def _remedy_of(path: Path) -> str:
@@ -276,34 +320,28 @@ def _content(folder: int, name: str, most: int, where: str) -> bytes:
     return content
 
 
-def _layers(content: bytes, manifest: Manifest, where: str) -> list[list[Layer]]:
+def _networks(content: bytes, manifest: Manifest, where: str) -> Networks:
     try:
         parts = safetensors.deserialize(content)  # type: ignore[no-untyped-call]  # has no types
         found = {name: (value["dtype"], value["shape"], value["data"]) for name, value in parts}
     except Exception as error:  # its reader raises many kinds
         raise CheckpointError(f"{where} cannot be read as safetensors: {error!s:.200}") from None
-    expected = [
-        f"{name}.{k}.{kind}"
-        for name in manifest.names
-        for k in range(len(manifest.network.pairs))
-        for kind in ("weight", "bias")
-    ]
+    shapes = manifest.network.tensors
+    expected = [f"{name}.{key}" for name in manifest.names for key in shapes]
     if sorted(found) != sorted(expected):
         raise CheckpointError(f"{where} holds {sorted(found)!r:.200}: expected are {sorted(expected)!r:.200}")
 
     def array(name: str, shape: tuple[int, ...]) -> NDArray[np.float32]:
         kind, size, data = found[name]
-        if kind != "F32" or tuple(size) != shape or len(data) != 4 * int(np.prod(shape)):
+        if kind != "F32" or tuple(size) != shape or len(data) != 4 * math.prod(shape):
             raise CheckpointError(f"{where}: {name} is {kind} of shape {tuple(size)}: expected is F32 of {shape}")
         return _checked(f"{where}: {name}", np.frombuffer(data, dtype="<f4").astype(np.float32).reshape(shape), shape)
 
-    return [
-        [
-            (array(f"{name}.{k}.weight", (outputs, inputs)), array(f"{name}.{k}.bias", (outputs,)))
-            for k, (inputs, outputs) in enumerate(manifest.network.pairs)
-        ]
-        for name in manifest.names
-    ]
+    flat = [{key: array(f"{name}.{key}", shape) for key, shape in shapes.items()} for name in manifest.names]
+    if isinstance(manifest.network, ActShape):
+        return flat
+    count = len(manifest.network.pairs)
+    return [[(each[f"{k}.weight"], each[f"{k}.bias"]) for k in range(count)] for each in flat]
 
 
 def _check_id(path: Path, manifest: Manifest, env: str | None) -> None:
@@ -367,13 +405,15 @@ def _same_keywords(made: EnvironmentSignature, names: Sequence[str]) -> str:
     return f"pass what it was trained with to both, gym.make({call}) and load(..., {call})"
 
 
-def warn_outside(policy: LearnedPolicy, env: Any) -> None:
-    """Warn once of what differs between the training of a loaded policy and an environment in which it is to act.
+def warn_outside(policy: object, env: Any) -> None:
+    """Warn once of what differs between the training of a learned policy and an environment in which it is to act.
 
     Raises:
         CheckpointError: It is no environment of this package.
     """
-    _warn(repr(policy), policy.manifest.signature, view_of_env(env))
+    manifest = manifest_of(policy)
+    if manifest is not None:
+        _warn(repr(policy), manifest.signature, view_of_env(env))
 
 
 def _misfits(made: EnvironmentSignature, here: EnvironmentSignature) -> Iterator[tuple[str, Any, Any]]:

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.errors import ActionError, UnknownNameError
+from dual_ur10.errors import ActionError, CheckpointError, UnknownNameError
 from dual_ur10.policies.learned.manifest import Manifest
-from dual_ur10.policies.learned.network import Layer, Network
+from dual_ur10.policies.learned.network import Layer, Network, NetworkShape
 from ur_core.kinematics.ur10 import ARMS
 from ur_core.types import Array
 
@@ -27,9 +27,14 @@ class LearnedPolicy:
     Attributes:
         manifest: Manifest of the checkpoint.
         layers: Layers of each network.
+
+    Raises:
+        CheckpointError: The network is another.
     """
 
     def __init__(self, manifest: Manifest, networks: Sequence[Sequence[Layer]]) -> None:
+        if not isinstance(manifest.network, NetworkShape):
+            raise CheckpointError("the network returns chunks, not actions: it is an ACT")
         self.manifest, self.layers = manifest, networks
         self._joint = manifest.agents == "joint"
         self._size = manifest.signature.observation.shape[0]
@@ -64,7 +69,7 @@ class LearnedPolicy:
         Raises:
             ActionError: Not an observation of its environment.
         """
-        given = _checked(observation, self._size, self.manifest.signature.env_id)
+        given = checked_observation(observation, self._size, self.manifest.signature.env_id)
         batch = given.reshape(-1, self._size)
         if self._joint:
             action = self._networks[0](batch)
@@ -100,11 +105,16 @@ class AgentPolicy:
             ActionError: Not an observation of one arm.
         """
         size = self._network.shape.layers[0]
-        given = _checked(observation, size, "one agent")
+        given = checked_observation(observation, size, "one agent")
         return self._network(given.reshape(-1, size)).reshape(*given.shape[:-1], -1)
 
 
-def _checked(observation: object, size: int, whose: str) -> Array:
+def checked_observation(observation: object, size: int, whose: str) -> Array:
+    """Return an observation, or a batch of them, as numbers, (size,) or (n, size).
+
+    Raises:
+        ActionError: It is none of this size.
+    """
     given = np.asarray(observation)
     if given.dtype.kind not in "fiu" or given.ndim not in (1, 2) or given.shape[-1] != size:
         raise ActionError(

@@ -9,8 +9,12 @@ import re
 from dataclasses import dataclass
 from typing import Annotated, Any, Final, Literal
 
+from pydantic import Discriminator, Tag
+
 from dual_ur10.errors import CheckpointError, DualUR10Error
+from dual_ur10.policies.chunks.chunk_policy import CHUNK_MODES
 from dual_ur10.policies.learned import schema
+from dual_ur10.policies.learned.act_network import ActShape
 from dual_ur10.policies.learned.network import NetworkShape, Normaliser
 from dual_ur10.policies.learned.schema import JsonList, Object, StrictJson, Text, Whole
 from dual_ur10.policies.learned.signature import EnvironmentSignature
@@ -42,8 +46,9 @@ class Manifest(StrictJson):
     Attributes:
         signature: Environment that the policy was made for.
         agents: Number of networks, and the arms that each one moves.
-        network: Shape of each network.
-        normalisers: One for each network, or () if observations enter as they are.
+        network: Shape of each network. An ACT is one network for both arms.
+        normalisers: One for each network, or () if observations enter as they are. Of an ACT those of the positions
+            of both arms, of the observation, and of an action.
         training: Settings of the training, any JSON object.
         seed: Seed of the training; None: it had none.
         evaluation: Results of an evaluation, any JSON object; None: there was none.
@@ -56,7 +61,10 @@ class Manifest(StrictJson):
 
     signature: EnvironmentSignature
     agents: AgentsKind
-    network: NetworkShape
+    network: Annotated[
+        Annotated[NetworkShape, Tag("layers")] | Annotated[ActShape, Tag("act")],
+        Discriminator(lambda value: "act" if isinstance(value, ActShape) or "chunk_size" in value else "layers"),
+    ]
     normalisers: Annotated[tuple[Normaliser, ...], JsonList] = ()
     training: Object = dataclasses.field(default_factory=dict)
     seed: Whole | None = None
@@ -65,7 +73,19 @@ class Manifest(StrictJson):
     weights_sha256: Text = ""
 
     def __post_init__(self) -> None:
-        inputs, outputs = self.network.layers[0], self.network.layers[-1]
+        if isinstance(self.network, ActShape):
+            self._check_act(self.network)
+        else:
+            self._check_layers(self.network)
+        for name, value, pattern, allowed in (
+            ("dual_ur10 in versions", self.versions.get("dual_ur10", ""), _VERSION, "a version such as 1.2.3"),
+            ("weights_sha256", self.weights_sha256, r"^([0-9a-f]{64})?$", "64 digits, 0 to f"),
+        ):
+            if not re.fullmatch(pattern, value, re.ASCII):
+                raise CheckpointError(f"{name} is {value!r:.80}: it must be {allowed}")
+
+    def _check_layers(self, network: NetworkShape) -> None:
+        inputs, outputs = network.layers[0], network.layers[-1]
         if self.normalisers and len(self.normalisers) != len(self.names):
             raise CheckpointError(
                 f"there are {len(self.normalisers)} normalisers for {len(self.names)} networks: one each, or none"
@@ -79,16 +99,27 @@ class Manifest(StrictJson):
             raise CheckpointError(f"the network has {outputs} outputs: {self.agents} actions have {wanted} numbers")
         if inputs != given:
             raise CheckpointError(f"the network has {inputs} inputs: {self.agents} observations have {given} numbers")
-        for name, value, pattern, allowed in (
-            ("dual_ur10 in versions", self.versions.get("dual_ur10", ""), _VERSION, "a version such as 1.2.3"),
-            ("weights_sha256", self.weights_sha256, r"^([0-9a-f]{64})?$", "64 digits, 0 to f"),
-        ):
-            if not re.fullmatch(pattern, value, re.ASCII):
-                raise CheckpointError(f"{name} is {value!r:.80}: it must be {allowed}")
+
+    def _check_act(self, network: ActShape) -> None:
+        if self.agents != "joint":
+            raise CheckpointError(f"agents is {self.agents!r}: an ACT is one network for both arms, 'joint'")
+        if self.signature.actions.mode not in CHUNK_MODES:
+            raise CheckpointError(
+                f"actions.mode is {self.signature.actions.mode!r}: an ACT is for {' and '.join(CHUNK_MODES)}"
+            )
+        found = network.environment_state, network.action
+        wanted = self.signature.observation.shape[0], self.signature.action.shape[0]
+        if found != wanted:
+            raise CheckpointError(f"the network is of observations and actions of {found} numbers: they have {wanted}")
+        sizes, expected = [len(each.mean) for each in self.normalisers], [wanted[1], *wanted]
+        if sizes != expected:
+            raise CheckpointError(f"the normalisers have {sizes} means: those of an ACT have {expected}")
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the networks, in the file of the weights."""
+        if isinstance(self.network, ActShape):
+            return ("model",)  # as LeRobot has it
         return ARMS if self.agents == "independent" else ("policy",)
 
     def text(self) -> str:

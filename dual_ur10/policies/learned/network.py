@@ -91,6 +91,15 @@ class NetworkShape(StrictJson):
         """Number of parameters."""
         return sum((inputs + 1) * outputs for inputs, outputs in self.pairs)
 
+    @property
+    def tensors(self) -> dict[str, tuple[int, ...]]:
+        """Shapes of the weights, by their names in a file."""
+        return {
+            f"{k}.{kind}": shape
+            for k, (inputs, outputs) in enumerate(self.pairs)
+            for kind, shape in (("weight", (outputs, inputs)), ("bias", (outputs,)))
+        }
+
 
 class Network:
     """Function from observations to actions. A row of a batch gives the same bits as a single observation.
@@ -110,7 +119,7 @@ class Network:
         self._half = np.float32(0.5) * (self._high - self._low)
         self._squash = shape.squashing == "tanh"
         self._activation: Callable[[Single], Single] = np.tanh if shape.activation == "tanh" else _relu
-        self._layers = [_blocks(weight, bias) for weight, bias in layers]
+        self._layers = [DenseLayer(weight, bias) for weight, bias in layers]
         self._mean: Array | None = None
         if normaliser is not None:
             self._mean = np.array(normaliser.mean)
@@ -125,9 +134,8 @@ class Network:
         with np.errstate(over="ignore", invalid="ignore"):
             x: Single = observation.astype(np.float32)
             last = len(self._layers) - 1
-            for k, (weight, bias) in enumerate(self._layers):
-                # (n, 1, 1, in) and (blocks, in, width): one small product for each row and block.
-                x = (x[:, None, None, :] @ weight).reshape(len(x), -1)[:, : len(bias)] + bias
+            for k, layer in enumerate(self._layers):
+                x = layer(x)
                 if k < last:
                     x = self._activation(x)
             if self._squash:
@@ -141,11 +149,26 @@ def _relu(x: Single) -> Single:
     return result
 
 
-def _blocks(weight: Single, bias: Single) -> tuple[Single, Single]:
-    """Return a layer's weight as (blocks, in, width), each block small enough for one thread, and its bias."""
-    outputs, inputs = weight.shape
-    width = min(outputs, max(1, _MOST_BLOCK // inputs))
-    count = -(-outputs // width)
-    padded = np.zeros((count * width, inputs), dtype=np.float32)
-    padded[:outputs] = weight
-    return np.ascontiguousarray(padded.reshape(count, width, inputs).transpose(0, 2, 1)), bias.astype(np.float32)
+class DenseLayer:
+    """Layer of a network. A row of a batch gives the same bits as a single one, on any number of threads.
+
+    Args:
+        weight: (out, in) weight.
+        bias: (out,) bias.
+    """
+
+    def __init__(self, weight: Single, bias: Single) -> None:
+        outputs, inputs = weight.shape
+        # Each block is small enough for one thread.
+        width = min(outputs, max(1, _MOST_BLOCK // inputs))
+        count = -(-outputs // width)
+        padded = np.zeros((count * width, inputs), dtype=np.float32)
+        padded[:outputs] = weight
+        self._weight = np.ascontiguousarray(padded.reshape(count, width, inputs).transpose(0, 2, 1))
+        self._bias = bias.astype(np.float32)
+
+    def __call__(self, x: Single) -> Single:
+        """Return outputs, (n, out), for inputs, (n, in)."""
+        # (n, 1, 1, in) and (blocks, in, width): one small product for each row and block.
+        found: Single = (x[:, None, None, :] @ self._weight).reshape(len(x), -1)[:, : len(self._bias)] + self._bias
+        return found

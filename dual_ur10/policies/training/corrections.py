@@ -25,6 +25,7 @@ from dual_ur10.policies.policy import Policy
 from dual_ur10.policies.training.dataset import read_dataset
 from dual_ur10.policies.training.demonstrations import Demonstration, demonstrate, kept_of, runs_in
 from dual_ur10.policies.training.folder import initial_policy
+from dual_ur10.policies.training.gather import Samples
 from dual_ur10.policies.training.imitation import Imitator
 from dual_ur10.policies.training.settings import Training, first_seed_of
 from dual_ur10.sim2real.recording.reader import read_run
@@ -167,7 +168,8 @@ class CorrectedImitator(Imitator):
             rows = by_person if self._asked.dataset else by_person | ~_before(by_person, self._wrong)
             if episode.observation is not None and rows.any():
                 seen = episode.observation[:-1].reshape(len(rows), -1)
-                self._samples.append((_single(seen[rows]), _single(episode.action[rows])))
+                number = np.full(int(rows.sum()), episode.number, dtype=np.int64)
+                self._samples.append(Samples(_single(seen[rows]), _single(episode.action[rows]), number))
 
 
 def _before(by_person: Mask, count: int) -> Mask:

@@ -19,11 +19,11 @@ from dual_ur10.policies.evaluation.minari_export import to_minari
 from dual_ur10.policies.learned.signature import EnvironmentView, view_of
 from dual_ur10.policies.policy import EpisodeAware
 from dual_ur10.policies.registry import keywords_for, load_named
+from dual_ur10.policies.training.gather import Samples
 from dual_ur10.policies.training.settings import check_simulated
 from dual_ur10.sim2real.recording.header import describe
 from dual_ur10.sim2real.recording.run import ArmLog, Episode, Run
 from ur_core.kinematics.ur10 import ARMS
-from ur_core.types import Single
 
 _SAME: Final = ("env_id", "observation", "action", "rate", "actions", "robot")
 
@@ -188,7 +188,7 @@ def _episode(own: dict[str, list[Any]], seed: int, number: int, success: bool, e
     )
 
 
-def read_dataset(dataset_id: str, view: EnvironmentView) -> tuple[Single, Single]:
+def read_dataset(dataset_id: str, view: EnvironmentView) -> Samples:
     """Read observations, (k, O), and actions, (k, A), of the successful episodes of a dataset.
 
     All episodes count if none states its success.
@@ -232,7 +232,8 @@ def read_dataset(dataset_id: str, view: EnvironmentView) -> tuple[Single, Single
         np.isfinite(observation).all() and np.isfinite(action).all()
     ):
         raise DatasetError(f"{dataset_id} has observations or actions of another size, or numbers that are not finite")
-    return observation, action
+    lengths = [len(each) for each in actions]
+    return Samples(observation, action, np.repeat(np.arange(len(lengths)), lengths))
 
 
 def _check_spaces(minari: Any, dataset_id: str) -> None:

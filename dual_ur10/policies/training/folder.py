@@ -25,13 +25,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, BinaryIO
 
-import numpy as np
 from pydantic import Field
 
-from dual_ur10.errors import CheckpointError, MissingExtraError, TrainingError
+from dual_ur10.errors import CheckpointError, MissingExtraError, SettingsError, TrainingError
+from dual_ur10.policies.chunks.chunk_policy import CHUNK_MODES
 from dual_ur10.policies.evaluation.evaluate import evaluate
 from dual_ur10.policies.evaluation.results import Evaluation
 from dual_ur10.policies.learned import checkpoint, schema
+from dual_ur10.policies.learned.act_network import ActShape
+from dual_ur10.policies.learned.act_policy import ActPolicy
 from dual_ur10.policies.learned.checkpoint import Networks
 from dual_ur10.policies.learned.learned_policy import LearnedPolicy
 from dual_ur10.policies.learned.manifest import Manifest
@@ -40,7 +42,7 @@ from dual_ur10.policies.learned.schema import StrictJson
 from dual_ur10.policies.learned.signature import EnvironmentView
 from dual_ur10.policies.training import state
 from dual_ur10.policies.training.progress import Check, draw_curve
-from dual_ur10.policies.training.settings import CHECK_SEED, Imitation, Training
+from dual_ur10.policies.training.settings import CHECK_SEED, ActSettings, Imitation, Training
 from dual_ur10.policies.training.state import Tensors
 from dual_ur10.sim2real.recording.header import plain
 from ur_core.files import read_regular, write_text
@@ -62,6 +64,7 @@ class Saved(StrictJson):
         steps: Environment steps so far.
         rounds: Imitation: rounds of samples so far.
         longest: Imitation: steps of the longest episode so far.
+        fitted: ACT: gradient steps so far.
         seconds: Training time so far.
         checks: Progress checks so far.
         best: Name of the best checkpoint so far; None: there is none.
@@ -70,6 +73,7 @@ class Saved(StrictJson):
     steps: _Count
     rounds: _Count = 0
     longest: _Count = 1
+    fitted: _Count = 0
     seconds: float
     checks: tuple[Check, ...]
     best: str | None
@@ -212,10 +216,9 @@ class TrainingFolder:
                 with lock, contextlib.suppress(OSError):  # a file system without locks
                     fcntl.flock(lock, fcntl.LOCK_UN)  # a forked process has the file open, too
 
-    def policy_of(self, networks: Networks, manifest: Manifest) -> LearnedPolicy:
+    def policy_of(self, networks: Networks, manifest: Manifest) -> LearnedPolicy | ActPolicy:
         """Return the policy with these weights, in the environment of the training."""
-        layers = [[(np.asarray(w, np.float32), np.asarray(b, np.float32)) for w, b in each] for each in networks]
-        return LearnedPolicy(manifest, layers)
+        return checkpoint.policy_of(manifest, networks)
 
     def check_progress(self, networks: Networks, manifest_of: ManifestOf, steps: int, seconds: float) -> None:
         """Evaluate a policy on episodes that nothing is learned from, and save it if it is the best so far.
@@ -250,8 +253,8 @@ class TrainingFolder:
         Raises:
             CheckpointError: It cannot be read or written.
         """
-        best = checkpoint.load(self.path / str(self.best))
-        return self.save("policy", best.layers, best.manifest)
+        manifest, networks = checkpoint.read(self.path / str(self.best))
+        return self.save("policy", networks, manifest)
 
     def _note(self, check: Check) -> None:
         self.checks.append(check)
@@ -346,11 +349,12 @@ def _training_of(path: Path) -> Training:
     return schema.read(Training, schema.loads(text, str(path), TrainingError), str(path), TrainingError)
 
 
-def network_shape(training: Training, view: EnvironmentView) -> NetworkShape:
+def network_shape(training: Training, view: EnvironmentView) -> NetworkShape | ActShape:
     """Return the shape of the networks to train.
 
     Raises:
         TrainingError: They are too large, or see nothing.
+        SettingsError: An ACT cannot be trained in this environment.
     """
     inputs, outputs = view.signature.observation.shape[0], view.signature.action.shape[0]
     if training.agents != "joint":
@@ -361,11 +365,45 @@ def network_shape(training: Training, view: EnvironmentView) -> NetworkShape:
             f"agents is {training.agents!r}, whose observation has no field but those of unseen: choose other agents, "
             "or hide fewer fields"
         )
+    if isinstance(settings, ActSettings):
+        return act_shape(settings, view)
     activation = settings.activation if isinstance(settings, Imitation) else "tanh"
     try:
         return NetworkShape((inputs, *settings.hidden, outputs), activation, "clip")
     except CheckpointError as error:
         raise TrainingError(f"hidden is {settings.hidden}: {error}") from error
+
+
+def act_shape(settings: ActSettings, view: EnvironmentView) -> ActShape:
+    """Return the shape of a transformer to train.
+
+    Raises:
+        TrainingError: It is too large.
+        SettingsError: Its actions or observations are not those of chunks.
+    """
+    signature, fields = view.signature, ["commanded_q_rad", *(["gripper_m"] if view.signature.actions.gripper else [])]
+    if signature.actions.mode not in CHUNK_MODES:
+        raise SettingsError(
+            f"action_mode is {signature.actions.mode!r}: act learns joint positions, so choose "
+            f"{' or '.join(map(repr, CHUNK_MODES))}"
+        )
+    if signature.view != "state" or not {*fields} <= {*view.layout.names}:
+        raise SettingsError(
+            f"act needs observations with {' and '.join(fields)}: use observation='state' and a task that has them"
+        )
+    own, size = view.layout.indices(fields), view.layout.size
+    try:
+        return ActShape(
+            state=tuple(arm * size + index for arm in range(2) for index in own),
+            environment_state=signature.observation.shape[0],
+            chunk_size=settings.chunk_size,
+            dim_model=settings.dim_model,
+            n_heads=settings.n_heads,
+            dim_feedforward=settings.dim_feedforward,
+            n_encoder_layers=settings.n_encoder_layers,
+        )
+    except CheckpointError as error:
+        raise TrainingError(str(error)) from error
 
 
 def initial_policy(training: Training, view: EnvironmentView) -> LearnedPolicy:
@@ -377,7 +415,7 @@ def initial_policy(training: Training, view: EnvironmentView) -> LearnedPolicy:
     """
     policy = checkpoint.load(training.init, training.env_id, **training.keywords)
     wanted, found = network_shape(training, view), policy.manifest.network
-    if (policy.manifest.agents, found) != (training.agents, wanted):
+    if not isinstance(policy, LearnedPolicy) or (policy.manifest.agents, found) != (training.agents, wanted):
         raise TrainingError(
             f"{training.init} is {policy.manifest.agents}, {_text(found)}; this training makes {training.agents}, "
             f"{_text(wanted)}: both must be the same"
@@ -385,5 +423,7 @@ def initial_policy(training: Training, view: EnvironmentView) -> LearnedPolicy:
     return policy
 
 
-def _text(shape: NetworkShape) -> str:
+def _text(shape: NetworkShape | ActShape) -> str:
+    if isinstance(shape, ActShape):
+        return "act"
     return f"{' - '.join(map(str, shape.layers))} {shape.activation} {shape.squashing}"

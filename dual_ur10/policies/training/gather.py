@@ -61,12 +61,27 @@ class Expert:
         return np.clip(action, self._low, self._high), live & ~self._lost
 
 
-class Gathered(NamedTuple):
+class Samples(NamedTuple):
     """Samples of some episodes.
 
     Attributes:
         observation: (k, O) observations.
         action: (k, A) actions of the expert.
+        episode: (k,) number of the episode that each sample is of. Those of an episode are in order.
+    """
+
+    observation: Single
+    action: Single
+    episode: NDArray[np.int64]
+
+
+class Gathered(NamedTuple):
+    """Samples of some episodes, and how they went.
+
+    Attributes:
+        observation: (k, O) observations.
+        action: (k, A) actions of the expert.
+        episode: (k,) row of the episode that each is of. Those of an episode are in order.
         returns: (e,) returns of the episodes that the learner drove from the beginning; of all, if there are none.
         successes: (e,) successes of the same; False where the expert helped.
         steps: Total number of environment steps.
@@ -75,6 +90,7 @@ class Gathered(NamedTuple):
 
     observation: Single
     action: Single
+    episode: NDArray[np.int64]
     returns: Array
     successes: NDArray[np.bool_]
     steps: int
@@ -159,12 +175,13 @@ def gather(
         expert.begin(row)
     counted = np.arange(n) < (n if rows is None else rows)
     live, alone, helped = counted.copy(), handed == 0, np.zeros(n, dtype=int)
-    seen, labels = list[Single](), list[Single]()
+    seen, labels, numbers = list[Single](), list[Single](), list[NDArray[np.int64]]()
     returns, successes, steps, now = np.zeros(n), np.zeros(n, dtype=bool), 0, 0
     while live.any():
         wanted, keep = expert(observation, live)
         seen.append(observation[keep].astype(np.float32))
         labels.append(wanted[keep])
+        numbers.append(np.flatnonzero(keep))
         action = shaken(wanted, now)
         own = (handed <= now) & (helped <= now)
         if learner is not None and own.any():
@@ -189,4 +206,5 @@ def gather(
     judged = judged if judged.any() else counted
     if learner is not None:
         successes &= alone
-    return Gathered(np.concatenate(seen), np.concatenate(labels), returns[judged], successes[judged], steps, now)
+    samples = (np.concatenate(each) for each in (seen, labels, numbers))
+    return Gathered(*samples, returns[judged], successes[judged], steps, now)

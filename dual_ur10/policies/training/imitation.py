@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,16 +18,19 @@ import numpy as np
 from dual_ur10.envs.api.vector_env import DualArmVectorEnv
 from dual_ur10.envs.core.options import AS_ON_CONTROLLERS
 from dual_ur10.errors import SettingsError, TrainingError
+from dual_ur10.policies.learned.act_network import ActShape
 from dual_ur10.policies.learned.learned_policy import LearnedPolicy
 from dual_ur10.policies.learned.manifest import Manifest
+from dual_ur10.policies.learned.network import NetworkShape, Normaliser
 from dual_ur10.policies.learned.signature import EnvironmentView, view_of
 from dual_ur10.policies.training import state
 from dual_ur10.policies.training.dataset import read_dataset
 from dual_ur10.policies.training.folder import Saved, TrainingFolder, initial_policy
-from dual_ur10.policies.training.gather import Expert, gather
-from dual_ur10.policies.training.progress import OnProgress, Progress
+from dual_ur10.policies.training.gather import Expert, Samples, gather
+from dual_ur10.policies.training.progress import OnProgress, Progress, TimeLeft
 from dual_ur10.policies.training.regression import Fit, Scatter, reproducible
-from dual_ur10.policies.training.settings import Imitation, first_seed_of
+from dual_ur10.policies.training.settings import Demonstrated, Imitation, first_seed_of
+from dual_ur10.policies.training.state import Tensors
 from ur_core.types import Single
 
 _GATHER, _FIT, _INIT = range(3)  # streams of random numbers
@@ -35,8 +38,8 @@ _SHOWN_S: Final = 0.2
 _FEWEST: Final = 4  # times the episodes of a round of DAgger are as many as the cells, at least
 
 
-class Imitator:
-    """Learner of the scripted policy's actions, or of a dataset's.
+class DemonstrationLearner:
+    """Learner of the scripted policy's actions, or of a dataset's. A subclass fits networks to the samples.
 
     Args:
         folder: Folder of the training.
@@ -53,20 +56,20 @@ class Imitator:
         threads: int | None = None,
     ) -> None:
         self._folder, self._asked = folder, folder.training
-        if not isinstance(self._asked.settings, Imitation):
+        if not isinstance(self._asked.settings, Demonstrated):
             raise TrainingError(f"{self._asked.algorithm} does not imitate")
-        self._settings: Imitation = self._asked.settings
+        self._demonstrated: Demonstrated = self._asked.settings
         self._threads = threads
         self._view: EnvironmentView = view_of(self._asked.env_id, self._asked.keywords)
-        self._blind = self._indices(self._settings.unseen)
-        self._scatter = self._scattering() if self._settings.scatter_rad else None
+        self._blind = self._indices(self._demonstrated.unseen)
         self._on_progress, self._shown_s = on_progress, 0.0
         self._progress = Progress(0, self._asked.steps)
-        self._rounds, self._longest = 0, 1
+        self._rounds, self._longest, self._fitted = 0, 1, 0
         self._time_left = TimeLeft()
-        self._samples: list[tuple[Single, Single]] = []
+        self._samples: list[Samples] = []
         if saved is not None:
             self._rounds, self._longest, self._progress.steps = saved.rounds, saved.longest, saved.steps
+            self._fitted = saved.fitted
             self._samples = [self._load_samples(k) for k in range(self._rounds)]
 
     def run(self) -> Path:
@@ -101,9 +104,13 @@ class Imitator:
         return self._folder.finish()
 
     @property
+    def _patience(self) -> float:
+        return 0.0
+
+    @property
     def _has_all(self) -> bool:
-        """True if no more samples are needed. Behaviour cloning from a dataset needs no expert."""
-        if self._asked.algorithm == "bc" and self._asked.dataset:
+        """True if no more samples are needed. Only DAgger needs an expert beside a dataset."""
+        if self._asked.algorithm != "dagger" and self._asked.dataset:
             return True
         if self._demonstrations:
             return self._rounds * self._asked.envs >= self._demonstrations
@@ -111,15 +118,11 @@ class Imitator:
 
     @property
     def _demonstrations(self) -> int:
-        return self._settings.demonstrations if self._asked.algorithm == "bc" else 0
+        return 0 if self._asked.algorithm == "dagger" else self._demonstrated.demonstrations
 
     def _round(self, env: Any, begun: float) -> None:
         number, asked = self._rounds, self._asked
-        learner, ratio = None, 1.0
-        if number and asked.algorithm == "dagger":
-            learner = self._fit(number, begun)
-            behind = self._progress.steps / asked.steps
-            ratio = self._settings.expert_share * max(0.0, 1.0 - behind / 0.75)
+        learner, ratio = self._driver(number, begun)
         low, high = env.core.action_space.low, env.core.action_space.high
         before, start = self._progress.steps, time.monotonic()
 
@@ -138,8 +141,8 @@ class Imitator:
             range(first, first + asked.envs),
             expert_ratio=ratio,
             within=self._longest,
-            noise=self._settings.noise,
-            patience=self._settings.patience,
+            noise=self._demonstrated.noise,
+            patience=self._patience,
             rng=np.random.default_rng([asked.seed, number, _GATHER]),
             rows=self._rows_of_round(env.task.horizon),
             on_step=on_step,
@@ -149,7 +152,11 @@ class Imitator:
         self._longest = max(self._longest, found.longest)
         self._progress.mean_return = float(found.returns.mean())
         self._progress.success_rate = float(found.successes.mean())
-        self._add((found.observation, found.action), begun)
+        self._add(Samples(found.observation, found.action, found.episode), begun)
+
+    def _driver(self, number: int, begun: float) -> tuple[LearnedPolicy | None, float]:
+        """Return the policy that drives a round, None: the expert, and the ratio of episodes that the expert begins."""
+        return None, 1.0
 
     def _rows_of_round(self, horizon: int | None) -> int:
         """Return the number of episodes of the next round: no more than are asked for, or the steps left allow."""
@@ -166,31 +173,104 @@ class Imitator:
         few = _FEWEST * self._rows_of_round(horizon) < self._asked.envs
         return few and self._rounds > 0 and self._asked.algorithm == "dagger"
 
-    def _add(self, samples: tuple[Single, Single], begun: float) -> None:
-        path = self._path(self._rounds)
-        state.save_tensors(path, {"observation": samples[0], "action": samples[1]})
+    def _add(self, samples: Samples, begun: float) -> None:
+        state.save_tensors(self._path(self._rounds), samples._asdict())
         self._samples.append(samples)
         self._rounds += 1
         self._save(begun)
 
-    def _save(self, begun: float) -> None:
+    def _save(self, begun: float, tensors: Tensors | None = None) -> None:
         self._folder.save_state(
-            {}, time.monotonic() - begun, steps=self._progress.steps, rounds=self._rounds, longest=self._longest
+            tensors or {},
+            time.monotonic() - begun,
+            steps=self._progress.steps,
+            rounds=self._rounds,
+            longest=self._longest,
+            fitted=self._fitted,
         )
 
     def _path(self, number: int) -> Path:
         return self._folder.path / f"samples-{number:04d}.safetensors"
 
-    def _load_samples(self, number: int) -> tuple[Single, Single]:
+    def _load_samples(self, number: int) -> Samples:
         found = state.load_tensors(self._path(number))
         sizes = (self._view.signature.observation.shape[0], self._view.signature.action.shape[0])
         try:
-            samples = found["observation"], found["action"]
+            samples = Samples(*(found[name] for name in Samples._fields))
         except KeyError as error:
             raise TrainingError(f"{self._path(number)} has no {error}") from None
-        if any(each.ndim != 2 or each.shape[1] != size for each, size in zip(samples, sizes, strict=True)):
+        count = samples.episode.size
+        if [each.shape for each in samples] != [*((count, size) for size in sizes), (count,)]:
             raise TrainingError(f"{self._path(number)} has samples of another environment")
         return samples
+
+    def _fit(self, number: int, begun: float) -> Any:
+        """Fit networks to all samples, and save their policy if it is the best so far."""
+        raise NotImplementedError
+
+    def _indices(self, names: Iterable[str]) -> list[int]:
+        return self._view.indices(names, joint=self._asked.agents == "joint")
+
+    @property
+    def _count(self) -> int:
+        return sum(len(each.observation) for each in self._samples)
+
+    def _stated(
+        self,
+        network: NetworkShape | ActShape,
+        normalisers: tuple[Normaliser, ...],
+        evaluation: dict[str, object] | None,
+        **counted: int,
+    ) -> Manifest:
+        counted |= {"steps": self._progress.steps, "samples": self._count}
+        return Manifest(
+            signature=self._view.signature,
+            agents=self._asked.agents,  # type: ignore[arg-type]  # checked
+            network=network,
+            normalisers=normalisers,
+            training={**self._folder.summary(), **counted},
+            seed=self._asked.seed,
+            evaluation=evaluation,
+        )
+
+    def _tell(self, doing: str) -> None:
+        now = time.monotonic()
+        if now - self._shown_s < _SHOWN_S:
+            return
+        self._shown_s, self._progress.doing = now, doing
+        done, asked = self._progress.steps, self._asked
+        rounds = self._rounds - bool(asked.dataset)
+        if rounds > 0:
+            left, refits = max(0, asked.steps - done), asked.algorithm == "dagger"
+            self._progress.seconds_left = self._time_left(left, done / rounds, refits=refits)
+        self._on_progress(self._progress)
+
+
+class Imitator(DemonstrationLearner):
+    """Learner of single actions, by behaviour cloning or DAgger.
+
+    Args:
+        *args: As for `DemonstrationLearner`.
+    """
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        if not isinstance(self._asked.settings, Imitation):
+            raise TrainingError(f"{self._asked.algorithm} does not imitate single actions")
+        self._settings: Imitation = self._asked.settings
+        self._scatter = self._scattering() if self._settings.scatter_rad else None
+
+    @property
+    def _patience(self) -> float:
+        return self._settings.patience
+
+    def _driver(self, number: int, begun: float) -> tuple[LearnedPolicy | None, float]:
+        asked = self._asked
+        if not number or asked.algorithm != "dagger":
+            return None, 1.0
+        learner = self._fit(number, begun)
+        behind = self._progress.steps / asked.steps
+        return learner, self._settings.expert_share * max(0.0, 1.0 - behind / 0.75)
 
     def _fit(self, number: int, begun: float) -> LearnedPolicy:
         """Fit networks to all samples, from scratch, and save their policy if it is the best so far.
@@ -199,9 +279,9 @@ class Imitator:
         """
         asked, steps = self._asked, self._settings.fit_steps
         self._time_left.fit_begins()
-        observation, action = (np.concatenate(each) for each in zip(*self._samples, strict=True))
+        observation, action, _ = (np.concatenate(each) for each in zip(*self._samples, strict=True))
         parts = self._split(observation, action)
-        with reproducible(_seed_of(asked.seed, number)):
+        with reproducible(seed_of(asked.seed, number)):
             fits = [
                 Fit(self._settings, *initial, unseen=self._blind, scatter=self._scatter)
                 for initial in self._initial(len(parts))
@@ -222,7 +302,7 @@ class Imitator:
         seconds = time.monotonic() - begun
         self._folder.check_progress(networks, lambda found: self._manifest(fits, found), self._progress.steps, seconds)
         self._time_left.fit_ends()
-        return self._folder.policy_of(networks, self._manifest(fits))
+        return LearnedPolicy(self._manifest(fits), networks)
 
     def _split(self, observation: Single, action: Single) -> list[tuple[Single, Single]]:
         if self._asked.agents == "joint":
@@ -232,9 +312,6 @@ class Imitator:
         if self._asked.agents == "shared":
             return [(own.reshape(2 * len(own), -1), arms.reshape(2 * len(arms), -1))]
         return [(np.ascontiguousarray(own[:, k]), np.ascontiguousarray(arms[:, k])) for k in (0, 1)]
-
-    def _indices(self, names: Iterable[str]) -> list[int]:
-        return self._view.indices(names, joint=self._asked.agents == "joint")
 
     def _scattering(self) -> Scatter:
         """Return the displacement of samples.
@@ -253,10 +330,6 @@ class Imitator:
         joints = [arm * each + joint for arm in range(arms) for joint in range(len(step))]
         return Scatter(self._settings.scatter_rad, self._indices(["commanded_q_rad"]), joints, step * arms)
 
-    @property
-    def _count(self) -> int:
-        return sum(len(observation) for observation, _ in self._samples)
-
     def _initial(self, count: int) -> list[tuple[Any, Any]]:
         if not self._asked.init:
             return [(None, None)] * count
@@ -265,70 +338,10 @@ class Imitator:
         return list(zip(policy.layers, normalisers, strict=True))
 
     def _manifest(self, fits: list[Fit], evaluation: dict[str, object] | None = None) -> Manifest:
-        return Manifest(
-            signature=self._view.signature,
-            agents=self._asked.agents,  # type: ignore[arg-type]  # checked
-            network=fits[0].shape(),
-            normalisers=tuple(fit.normaliser for fit in fits if fit.normaliser is not None),
-            training={**self._folder.summary(), "steps": self._progress.steps, "samples": self._count},
-            seed=self._asked.seed,
-            evaluation=evaluation,
-        )
-
-    def _tell(self, doing: str) -> None:
-        now = time.monotonic()
-        if now - self._shown_s < _SHOWN_S:
-            return
-        self._shown_s, self._progress.doing = now, doing
-        done, asked = self._progress.steps, self._asked
-        rounds = self._rounds - bool(asked.dataset)
-        if rounds > 0:
-            left, refits = max(0, asked.steps - done), asked.algorithm == "dagger"
-            self._progress.seconds_left = self._time_left(left, done / rounds, refits=refits)
-        self._on_progress(self._progress)
+        normalisers = tuple(fit.normaliser for fit in fits if fit.normaliser is not None)
+        return self._stated(fits[0].shape(), normalisers, evaluation)
 
 
-def _seed_of(seed: int, number: int) -> int:
+def seed_of(seed: int, number: int) -> int:
+    """Return the seed of the networks of a round."""
     return int(np.random.SeedSequence([seed, number, _INIT]).generate_state(1)[0])
-
-
-class TimeLeft:
-    """Estimate of the time that rounds of gathering and fitting still take, from the rates so far.
-
-    Args:
-        clock: Function that returns seconds.
-    """
-
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock = clock
-        self._step_s = self._fit_s = 0.0
-        self._fitting_since: float | None = None
-
-    def gathered(self, steps: int, seconds: float) -> None:
-        """Take the duration of the steps of this round."""
-        self._step_s = seconds / max(1, steps)
-
-    def fit_begins(self) -> None:
-        """Begin to measure a fit."""
-        self._fitting_since = self._clock()
-
-    def fit_ends(self) -> None:
-        """End the measurement of a fit and its progress check."""
-        if self._fitting_since is not None:
-            self._fit_s, self._fitting_since = self._clock() - self._fitting_since, None
-
-    def __call__(self, steps: int, round_steps: float, *, refits: bool) -> float | None:
-        """Return seconds; None before the first fit.
-
-        Args:
-            steps: Steps that are still to be gathered.
-            round_steps: Steps of a round.
-            refits: True if each round begins with a fit. A last fit follows in any case.
-        """
-        if not self._fit_s:
-            return None
-        fits = math.ceil(steps / round_steps) if refits else 0
-        if self._fitting_since is None:
-            return steps * self._step_s + max(1, fits) * self._fit_s
-        rest_s = max(0.0, self._fit_s - (self._clock() - self._fitting_since))
-        return steps * self._step_s + fits * self._fit_s + rest_s

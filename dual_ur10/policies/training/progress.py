@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -100,3 +102,45 @@ def draw_curve(path: Path, title: str, checks: Sequence[Check], goal: float | No
         raise TrainingError(f"cannot write {path}: {error.strerror or error}") from error
     finally:
         part.unlink(missing_ok=True)
+
+
+class TimeLeft:
+    """Estimate of the time that rounds of gathering and fitting still take, from the rates so far.
+
+    Args:
+        clock: Function that returns seconds.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._step_s = self._fit_s = 0.0
+        self._fitting_since: float | None = None
+
+    def gathered(self, steps: int, seconds: float) -> None:
+        """Take the duration of the steps of this round."""
+        self._step_s = seconds / max(1, steps)
+
+    def fit_begins(self) -> None:
+        """Begin to measure a fit."""
+        self._fitting_since = self._clock()
+
+    def fit_ends(self) -> None:
+        """End the measurement of a fit and its progress check."""
+        if self._fitting_since is not None:
+            self._fit_s, self._fitting_since = self._clock() - self._fitting_since, None
+
+    def __call__(self, steps: int, round_steps: float, *, refits: bool) -> float | None:
+        """Return seconds; None before the first fit.
+
+        Args:
+            steps: Steps that are still to be gathered.
+            round_steps: Steps of a round.
+            refits: True if each round begins with a fit. A last fit follows in any case.
+        """
+        if not self._fit_s:
+            return None
+        fits = math.ceil(steps / round_steps) if refits else 0
+        if self._fitting_since is None:
+            return steps * self._step_s + max(1, fits) * self._fit_s
+        rest_s = max(0.0, self._fit_s - (self._clock() - self._fitting_since))
+        return steps * self._step_s + fits * self._fit_s + rest_s

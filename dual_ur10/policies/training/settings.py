@@ -15,17 +15,18 @@ from dual_ur10.envs.core.options import split_keywords
 from dual_ur10.envs.tasks.goal_fields import GOAL_FIELDS
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.ids import TASKS, env_id_of
+from dual_ur10.policies.chunks.chunk_policy import MOST_ACTIONS
 from dual_ur10.policies.learned import schema
 from dual_ur10.policies.learned.manifest import AgentsKind
-from dual_ur10.policies.learned.network import Activation
+from dual_ur10.policies.learned.network import MOST_LAYERS, MOST_WIDTH, Activation
 from dual_ur10.policies.learned.schema import StrictJson
 from dual_ur10.policies.learned.signature import view_of
 from dual_ur10.policies.operators.catalog import device_class
 from dual_ur10.sim2real.cell.named_cell import resolve_cell
 from ur_core.objects import load_object
 
-Algorithm = Literal["ppo", "sac", "bc", "dagger"]
-IMITATION: Final = ("bc", "dagger")
+Algorithm = Literal["ppo", "sac", "bc", "dagger", "act"]
+IMITATION: Final = ("bc", "dagger", "act")
 """Algorithms that learn from the scripted policy or from a dataset."""
 
 LATENCY_TICKS: Final = 5
@@ -119,42 +120,78 @@ class Reinforcement(StrictJson):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Imitation(StrictJson):
-    """Settings of behaviour cloning and of DAgger.
+class Demonstrated(StrictJson):
+    """Settings of all that learns from episodes of the expert, or of a dataset.
 
     Attributes:
-        hidden: Units of each hidden layer.
-        activation: Activation of the hidden layers.
         learning_rate: Learning rate of Adam at the beginning of each fit; it decays along a half cosine.
         batch_size: Samples of a gradient step.
-        fit_steps: Gradient steps of each round's fit.
-        expert_share: DAgger: ratio of episodes that the expert begins and hands over somewhere. It decays to 0 until
-            three quarters of the steps are done. In the first round the expert drives all episodes to their end.
+        fit_steps: Gradient steps of each fit.
         noise: Largest standard deviation of the noise on the expert's actions, in their units. It shows how the expert
             recovers. Each episode samples its own.
-        scatter_rad: Largest standard deviation, in rad, by which a fit displaces the commanded joints of its samples.
-            See `dual_ur10.policies.training.regression.Scatter`. It replaces what few demonstrations do not show.
-        patience: DAgger: largest difference of any joint's action from the expert's, of 2, at which the network keeps
-            driving. Beyond it the expert drives for a while.
-        demonstrations: Behaviour cloning: number of the expert's episodes; 0: as many as the steps hold.
-        corrected: DAgger with an operator: episodes that the person keeps between two fits.
+        demonstrations: Number of the expert's episodes, but for DAgger; 0: as many as the steps hold.
         unseen: Fields of an arm's observation (`ObservationLayout`) that the network does not see. An effect of an
             action, such as the speed that it led to, is easier to learn from than its cause, and fails when the network
             drives (P. de Haan et al., "Causal Confusion in Imitation Learning", NeurIPS 2019).
     """
 
-    hidden: Units = (256, 256)
-    activation: Activation = "tanh"
     learning_rate: LearningRate = 4e-3
     batch_size: Samples = 1024
     fit_steps: Count = 8000
-    expert_share: Ratio = 0.5
     noise: ActionSize = 0.1
+    demonstrations: Annotated[int, Field(ge=0, le=10**6)] = 0
+    unseen: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class ActSettings(Demonstrated):
+    """Settings of ACT, beside those of `Demonstrated`; names of sizes are those of LeRobot.
+
+    Attributes:
+        chunk_size: Number of actions in a chunk.
+        dim_model: Size of a token.
+        n_heads: Number of heads of the attention.
+        dim_feedforward: Units of the hidden layer behind an attention.
+        n_encoder_layers: Number of layers of the encoder. The decoder has one.
+        check_steps: Gradient steps between two progress checks.
+        averaging: Ratio of the mean weights that a gradient step keeps. The mean is what is checked and saved.
+    """
+
+    learning_rate: LearningRate = 5e-4
+    batch_size: Samples = 128
+    fit_steps: Count = 20_000
+    demonstrations: Annotated[int, Field(ge=0, le=10**6)] = 50
+    chunk_size: Annotated[int, Field(ge=1, le=MOST_ACTIONS)] = 25
+    dim_model: Annotated[int, Field(ge=1, le=MOST_WIDTH)] = 128
+    n_heads: Annotated[int, Field(ge=1, le=MOST_WIDTH)] = 8
+    dim_feedforward: Annotated[int, Field(ge=1, le=MOST_WIDTH)] = 512
+    n_encoder_layers: Annotated[int, Field(ge=1, le=MOST_LAYERS)] = 2
+    check_steps: Count = 5000
+    averaging: Ratio = 0.999
+
+
+@dataclass(frozen=True, kw_only=True)
+class Imitation(Demonstrated):
+    """Settings of behaviour cloning and of DAgger, beside those of `Demonstrated`.
+
+    Attributes:
+        hidden: Units of each hidden layer.
+        activation: Activation of the hidden layers.
+        expert_share: DAgger: ratio of episodes that the expert begins and hands over somewhere. It decays to 0 until
+            three quarters of the steps are done. In the first round the expert drives all episodes to their end.
+        scatter_rad: Largest standard deviation, in rad, by which a fit displaces the commanded joints of its samples.
+            See `dual_ur10.policies.training.regression.Scatter`. It replaces what few demonstrations do not show.
+        patience: DAgger: largest difference of any joint's action from the expert's, of 2, at which the network keeps
+            driving. Beyond it the expert drives for a while.
+        corrected: DAgger with an operator: episodes that the person keeps between two fits.
+    """
+
+    hidden: Units = (256, 256)
+    activation: Activation = "tanh"
+    expert_share: Ratio = 0.5
     scatter_rad: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
     patience: ActionSize = 0.4
-    demonstrations: Annotated[int, Field(ge=0, le=10**6)] = 0
     corrected: Count = 5
-    unseen: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,7 +199,7 @@ class TaskSettings:
     """Settings of one task.
 
     Attributes:
-        envs: Number of cells that bc and dagger step together. PPO and SAC step as many as the default.
+        envs: Number of cells that imitation steps together. PPO and SAC step as many as the default.
         steps: Total number of environment steps, by algorithm; general numbers for those that are left out.
         randomization: Variation from episode to episode.
         keywords: Further keywords of the environment.
@@ -171,10 +208,11 @@ class TaskSettings:
         agents: Networks of PPO and SAC from scratch, unless others are asked for; imitation: "joint".
         ppo: Settings of PPO from scratch. With a checkpoint to begin with, the general ones count.
         sac: Settings of SAC.
-        imitation: Settings of bc and dagger.
-        joint_unseen: Fields that one network for both arms does not see either in bc and dagger. A goal that the expert
+        imitation: Settings of bc and dagger. ACT has its fields `unseen`, too.
+        act: Settings of act.
+        joint_unseen: Fields that one network for both arms does not see either in imitation. A goal that the expert
             does not follow is no help, and what its own motion has led to misleads it.
-        checks: Number of episodes of each progress check of bc and dagger. For PPO and SAC it is the default.
+        checks: Number of episodes of each progress check of imitation. For PPO and SAC it is the default.
     """
 
     envs: int = _ENVS
@@ -188,6 +226,7 @@ class TaskSettings:
     ppo: Reinforcement = Reinforcement()
     sac: Reinforcement = Reinforcement()
     imitation: Imitation = Imitation()
+    act: ActSettings = ActSettings()
     joint_unseen: tuple[str, ...] = ()
     checks: int = _CHECKS
 
@@ -416,8 +455,12 @@ class Training(StrictJson):
     keywords: dict[str, Any]
     checks: int
     settings: Annotated[
-        Annotated[Reinforcement, Tag("reinforcement")] | Annotated[Imitation, Tag("imitation")],
-        Discriminator(lambda value: "imitation" if "fit_steps" in value else "reinforcement"),
+        Annotated[Reinforcement, Tag("reinforcement")]
+        | Annotated[Imitation, Tag("imitation")]
+        | Annotated[ActSettings, Tag("act")],
+        Discriminator(
+            lambda value: "act" if "dim_model" in value else "imitation" if "fit_steps" in value else "reinforcement"
+        ),
     ]
     dataset: str = ""
     init: str = ""
@@ -435,14 +478,17 @@ class Training(StrictJson):
                 raise SettingsError(f"{name} is {value!r}: it must be a whole number, {least} to {most}")
         first_seed_of(self.seed)
         check_simulated(self.keywords, "training", "train without it, then evaluate with --cell")
-        if isinstance(self.settings, Imitation) != (self.algorithm in IMITATION):
+        kinds: dict[str, type] = {"ppo": Reinforcement, "sac": Reinforcement, "act": ActSettings}
+        if not isinstance(self.settings, kinds.get(self.algorithm, Imitation)):
             raise SettingsError(f"{type(self.settings).__name__} holds no settings of {self.algorithm}")
         if self.dataset and self.algorithm not in IMITATION:
-            raise SettingsError(f"{self.algorithm} learns from no dataset: leave it out, or use bc or dagger")
+            raise SettingsError(f"{self.algorithm} learns from no dataset: leave it out, or use bc, dagger or act")
         if self.operator:
             self._check_operator()
         if self.init and self.algorithm == "sac":
             raise SettingsError("sac begins with no checkpoint, its network has another form: use ppo")
+        if self.algorithm == "act":
+            self._check_act()
         if isinstance(self.settings, Imitation) and self.settings.activation not in get_args(Activation):
             raise UnknownNameError("activation", str(self.settings.activation), get_args(Activation))
         schema.check(self.settings, f"settings of {self.algorithm}", SettingsError)
@@ -453,13 +499,20 @@ class Training(StrictJson):
             if rows < 2:
                 raise SettingsError(f"envs times steps_per_update is {rows}: an update of ppo needs 2 samples or more")
 
+    def _check_act(self) -> None:
+        """Refuse what a transformer for both arms does not do."""
+        if self.agents != "joint":
+            raise SettingsError(f"agents is {self.agents!r}: act makes one network for both arms, 'joint'")
+        if self.init:
+            raise SettingsError("act begins with no checkpoint: leave it out")
+
     def _check_operator(self) -> None:
         """Refuse what does not go together with a person."""
         device_class(self.operator)
         if self.algorithm != "dagger":
-            remedy = {"bc": "collect --operator makes a dataset, from which bc learns"}.get(
-                self.algorithm, "use dagger"
-            )
+            remedy = "use dagger"
+            if self.algorithm in IMITATION:
+                remedy = f"collect --operator makes a dataset, from which {self.algorithm} learns"
             raise SettingsError(f"{self.algorithm} learns from no operator: {remedy}, or leave the operator out")
         if self.envs != 1:
             raise SettingsError(f"envs is {self.envs} with an operator: one person leads one cell, so leave it out")
@@ -549,9 +602,10 @@ def defaults(
         raise UnknownNameError("algorithm", str(algorithm), get_args(Algorithm))
     if agents is None:
         agents = "joint" if algorithm in IMITATION or init else own.agents
-    settings: Reinforcement | Imitation = own.imitation
-    if algorithm in IMITATION and agents == "joint":
-        settings = dataclasses.replace(own.imitation, unseen=(*own.imitation.unseen, *own.joint_unseen))
+    settings: Reinforcement | Demonstrated = own.act if algorithm == "act" else own.imitation
+    if algorithm in IMITATION:
+        unseen = (*own.imitation.unseen, *(own.joint_unseen if agents == "joint" else ()))
+        settings = dataclasses.replace(settings, unseen=unseen)
     if algorithm not in IMITATION:
         # A checkpoint to begin with has a network of imitation's size, which is also the general one.
         settings = Reinforcement() if init else own.ppo if algorithm == "ppo" else own.sac
@@ -567,7 +621,8 @@ def defaults(
     usual = {**own.keywords, "randomization": own.randomization, "action_latency_ticks": LATENCY_TICKS}
     given = {**(usual if algorithm in IMITATION or init else own.from_scratch), **asked}
     view_of(env_id, given)  # refuses keywords that make no environment before anything is made
-    usual_envs, usual_steps = own.envs if algorithm in IMITATION else _ENVS, own.steps.get(algorithm, _STEPS[algorithm])
+    gathered = "bc" if algorithm == "act" else algorithm
+    usual_envs, usual_steps = own.envs if algorithm in IMITATION else _ENVS, own.steps.get(gathered, _STEPS[gathered])
     if operator:
         usual_envs, usual_steps = 1, _CORRECTED_STEPS
     return Training(

@@ -133,6 +133,10 @@ def _run(
         # Imported on use: they load torch and Stable-Baselines3.
         if folder.training.algorithm in IMITATION:
             saved = None if state is None else state[1]
+            if folder.training.algorithm == "act":
+                from dual_ur10.policies.training.act import ActImitator
+
+                return ActImitator(None if state is None else state[0], folder, saved, on_progress, threads).run()
             if person is not None:
                 from dual_ur10.policies.training.corrections import CorrectedImitator
 

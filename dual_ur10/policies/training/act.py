@@ -1,0 +1,84 @@
+"""ACT: a transformer imitates chunks of the scripted policy's, or a dataset's, joint positions."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from dual_ur10.errors import TrainingError
+from dual_ur10.policies.learned.manifest import Manifest
+from dual_ur10.policies.training.act_fit import ActFit, Chunks
+from dual_ur10.policies.training.folder import act_shape
+from dual_ur10.policies.training.gather import Samples
+from dual_ur10.policies.training.imitation import DemonstrationLearner, seed_of
+from dual_ur10.policies.training.settings import ActSettings
+from dual_ur10.policies.training.state import Tensors
+from ur_core.types import Single
+
+
+class ActImitator(DemonstrationLearner):
+    """Learner of chunks. Its episodes are those of behaviour cloning.
+
+    The state is saved at each progress check, and a training that continues gives the same result as one that was not
+    interrupted.
+
+    Args:
+        tensors: Tensors of the state to continue from; None: begin.
+        *args: As for `DemonstrationLearner`.
+    """
+
+    def __init__(self, tensors: Tensors | None, *args: Any) -> None:
+        super().__init__(*args)
+        if not isinstance(self._asked.settings, ActSettings):
+            raise TrainingError(f"{self._asked.algorithm} learns no chunks")
+        self._settings: ActSettings = self._asked.settings
+        self._shape, self._tensors = act_shape(self._settings, self._view), tensors
+
+    def _fit(self, number: int, begun: float) -> None:
+        """Fit a transformer to all samples, and save its policy at each check at which it is the best so far."""
+        settings = self._settings
+        fit = ActFit(settings, self._shape, self._chunks(), self._blind, seed_of(self._asked.seed, number))
+        if self._fitted and self._tensors:
+            fit.restore(self._tensors, self._fitted)
+
+        def on_step(step: int, loss: float) -> None:
+            self._tell(f"fitting, {100 * step // settings.fit_steps} %, deviation {loss:.4f}")
+
+        while fit.done < settings.fit_steps:
+            loss = fit(min(settings.check_steps, settings.fit_steps - fit.done), on_step)
+            self._folder.logger.record("fit/loss", loss)
+            self._folder.logger.record("fit/steps", fit.done)
+            self._tell("checking")
+            seconds, made = time.monotonic() - begun, fit.tensors()
+            self._folder.check_progress(
+                [made], lambda found: self._manifest_of(fit, found), self._progress.steps, seconds
+            )
+            self._fitted = fit.done
+            self._save(begun, fit.state())
+
+    def _manifest_of(self, fit: ActFit, evaluation: dict[str, object] | None) -> Manifest:
+        return self._stated(self._shape, fit.normalisers, evaluation, fitted=fit.done)
+
+    def _chunks(self) -> Chunks:
+        """Return the samples of all episodes, each in order."""
+        parts = []
+        for observation, action, episode in self._samples:
+            order = np.argsort(episode, kind="stable")
+            ends = np.flatnonzero(np.diff(episode[order], append=-1)) + 1
+            left = np.repeat(ends, np.diff(ends, prepend=0)) - np.arange(len(order))
+            positions = self._positions(Samples(observation, action, episode))
+            parts.append((observation[order], positions[order], left))
+        return Chunks(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+
+    def _positions(self, samples: Samples) -> Single:
+        """Return what the samples' actions lead to, (k, A): joints in rad, and grippers from 0, closed, to 1, open."""
+        actions = self._view.signature.actions
+        found = samples.action.astype(np.float64).reshape(len(samples.action), 2, -1)
+        if actions.mode == "joint_delta":
+            commanded = samples.observation[:, list(self._shape.state)].reshape(found.shape)
+            found[..., :6] = commanded[..., :6] + np.clip(found[..., :6], -1.0, 1.0) * np.array(actions.joint_step_rad)
+        if actions.gripper:
+            found[..., 6] = 0.5 * (found[..., 6] + 1.0)
+        return found.reshape(len(found), -1).astype(np.float32)

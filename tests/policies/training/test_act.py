@@ -1,0 +1,160 @@
+"""ACT: complete trainings that take seconds."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3")
+
+from dual_ur10 import policies
+from dual_ur10.errors import SettingsError, TrainingError
+from dual_ur10.policies.chunks.executor import ChunkExecutor
+from dual_ur10.policies.learned import checkpoint
+from dual_ur10.policies.learned.act_network import ActNetwork, ActShape
+from dual_ur10.policies.learned.signature import view_of
+from dual_ur10.policies.training import state
+from dual_ur10.policies.training.act import ActImitator
+from dual_ur10.policies.training.act_fit import ActFit, Chunks
+from dual_ur10.policies.training.folder import TrainingFolder
+from dual_ur10.policies.training.gather import Samples
+from dual_ur10.policies.training.settings import ActSettings, defaults
+from dual_ur10.policies.training.train import resume, train
+from tests.policies.training.small import small
+
+SINE = "DualUR10/SineTracking-v0"
+
+
+def sha_of(path: Path) -> str:
+    return checkpoint.read_manifest(path).weights_sha256
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return train(small("act", rounds=1), tmp_path_factory.mktemp("whole") / "out", threads=2)
+
+
+def test_the_result_is_a_policy_of_chunks_that_states_its_origin(whole: Path) -> None:
+    manifest = checkpoint.read_manifest(whole)
+    assert manifest.training["algorithm"] == "act"
+    assert manifest.training["settings"]["chunk_size"] == 4
+    assert manifest.training["samples"] == 100
+    assert manifest.training["fitted"] in (8, 16, 20)
+    assert manifest.evaluation is not None
+    assert manifest.evaluation["episodes"] == 2
+    assert isinstance(policies.load(whole), ChunkExecutor)
+    checks = state.load(whole.parent / "state")[1]["checks"]
+    assert len(checks) == 3  # after 8, 16 and 20 gradient steps
+
+
+def test_a_network_does_not_see_the_unseen_fields(whole: Path) -> None:
+    manifest = checkpoint.read_manifest(whole)
+    view = view_of(SINE, manifest.signature.kwargs)
+    unseen = view.indices(manifest.training["settings"]["unseen"], joint=True)
+    assert np.flatnonzero(np.array(manifest.normalisers[1].var) > 1e12).tolist() == sorted(unseen)
+    assert max(manifest.normalisers[0].var) < 1e3  # commanded joints are seen
+
+
+def test_an_interrupted_training_gives_the_same_result(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real, calls = ActFit.__call__, []
+
+    def interrupted(self: ActFit, *arguments: Any) -> float:
+        calls.append(self.done)
+        if len(calls) > 2:
+            raise KeyboardInterrupt
+        return real(self, *arguments)
+
+    monkeypatch.setattr(ActFit, "__call__", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        train(small("act", rounds=1), tmp_path / "out")
+    monkeypatch.setattr(ActFit, "__call__", lambda self, *given: calls.append(-self.done) or real(self, *given))
+    assert sha_of(resume(tmp_path / "out")) == sha_of(whole)
+    assert calls == [0, 8, 16, -16]
+    assert resume(tmp_path / "out").name == "policy-2"  # nothing is left to do
+
+
+def test_a_state_of_another_network_is_refused(whole: Path, tmp_path: Path) -> None:
+    folder = shutil.copytree(whole.parent, tmp_path / "out")
+    tensors, values = state.load(folder / "state")
+    tensors["weight.action_head.bias"] = np.zeros(3, dtype=np.float32)
+    state.save(folder / "state", tensors, {**values, "fitted": 16})
+    with pytest.raises(TrainingError, match="the state is not of this training"):
+        resume(folder)
+
+
+def test_chunks_are_of_one_episode_and_what_is_commanded(tmp_path: Path) -> None:
+    folder = TrainingFolder.create(tmp_path / "out", small("act"))
+    learner = ActImitator(None, folder)
+    folder.close()
+    shape, rng = learner._shape, np.random.default_rng(0)
+    episode = np.array([2, 0, 2, 0, 2])  # as a batch of cells gives them
+    observation = rng.normal(size=(5, shape.environment_state)).astype(np.float32)
+    action = rng.uniform(-1, 1, (5, shape.action)).astype(np.float32)
+    learner._samples = [Samples(observation, action, episode)] * 2
+    chunks = learner._chunks()
+    order = [1, 3, 0, 2, 4]
+    assert chunks.left.tolist() == [2, 1, 3, 2, 1] * 2
+    assert chunks.observation.tobytes() == observation[order * 2].tobytes()
+    step = np.tile(learner._view.signature.actions.joint_step_rad, 2)
+    expected = observation[:, list(shape.state)] + step * action
+    np.testing.assert_allclose(chunks.position, expected[order * 2], atol=1e-6)
+
+
+def test_a_transformer_learns_chunks_and_ignores_what_is_behind_an_end() -> None:
+    """Positions follow a line whose slope is observed; beyond an episode's end they are of no use."""
+    rng, size = np.random.default_rng(0), 4
+    slope = np.repeat(rng.uniform(-1, 1, 100), 10).astype(np.float32)
+    time = np.tile(np.arange(10, dtype=np.float32), 100)
+    observation = np.stack([slope, time, rng.normal(size=1000)], axis=1).astype(np.float32)
+    position = (slope * (time + 1))[:, None]
+    left = (10 - time).astype(np.int64)
+    shape = ActShape((0,), 3, size, 16, 2, 32, 1)
+    settings = ActSettings(learning_rate=1e-2, batch_size=64, fit_steps=800, averaging=0.9)
+    fit = ActFit(settings, shape, Chunks(observation, position, left), [2], seed=0)
+    fit(settings.fit_steps)
+    network, (state_norm, seen_norm, action_norm) = ActNetwork(shape, fit.tensors()), fit.normalisers
+    for given, at in ((0.5, 3.0), (-0.8, 6.0)):
+        seen = np.array([given, at, 50.0])
+        scaled = [
+            ((values - np.array(each.mean)) / np.sqrt(each.var)).astype(np.float32)
+            for values, each in ((seen[:1], state_norm), (seen, seen_norm))
+        ]
+        found = network(*scaled)[:, 0] * np.sqrt(action_norm.var) + action_norm.mean
+        np.testing.assert_allclose(found, given * (at + 1 + np.arange(size)), atol=0.25)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"agents": "shared"}, "agents is 'shared': act makes one network"),
+        ({"init": "x"}, "act begins with no checkpoint"),
+        ({"operator": "keyboard"}, "from which act learns"),
+        ({"changes": {"chunk_size": 0}}, "chunk_size"),
+    ],
+)
+def test_impossible_settings_are_refused(given: dict[str, Any], message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        defaults("SineTracking", "act", **given)
+
+
+@pytest.mark.parametrize(
+    ("keywords", "changes", "message"),
+    [
+        ({"action_mode": "tcp_delta"}, {}, "action_mode is 'tcp_delta': act learns joint positions"),
+        ({"observation": "goals"}, {}, "act needs observations with commanded_q_rad"),
+        ({}, {"n_heads": 3}, "n_heads is 3"),
+    ],
+)
+def test_impossible_trainings_are_refused_before_they_begin(
+    tmp_path: Path, keywords: dict[str, Any], changes: dict[str, Any], message: str
+) -> None:
+    asked = small("act", keywords=keywords, changes={**changes, "unseen": ()})
+    with pytest.raises((SettingsError, TrainingError), match=message):
+        train(asked, tmp_path / "out")
+    assert not (tmp_path / "out").exists()

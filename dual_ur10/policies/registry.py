@@ -360,14 +360,14 @@ _INTERFACE: Final = (
 """Keywords of an environment that decide what a policy observes and what its actions mean."""
 
 
-def keywords_for(policy: Policy | str | os.PathLike[str], env_id: str, keywords: Mapping[str, Any]) -> dict[str, Any]:
+def keywords_for(policy: object, env_id: str, keywords: Mapping[str, Any]) -> dict[str, Any]:
     """Return the keywords of an environment, with those that a learned policy needs to act in it.
 
     These are the rate, mode, scale and latency of actions, the view of the observation and the model of the arms. One
     that is stated remains as it is, and a cell's own arms and latency remain, too. No other policy adds any.
 
     Args:
-        policy: A policy, a name, or the folder of a checkpoint.
+        policy: A policy, a chunk policy, a name, or the folder of a checkpoint.
         env_id: Id of the environment.
         keywords: Keywords of the environment.
 

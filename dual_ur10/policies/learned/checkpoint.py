@@ -215,7 +215,7 @@ def _tensors(networks: Networks, manifest: Manifest) -> dict[str, NDArray[np.flo
     flat = [each if isinstance(each, Mapping) else _flat_layers(each) for each in networks]
     if len(flat) != len(names) or any(each.keys() != shapes.keys() for each in flat):
         raise CheckpointError(
-            f"there are {[len(each) for each in flat]} tensors in the networks: {manifest.agents} needs "
+            f"there are {[len(each) for each in flat]} tensors in the layers of the networks: {manifest.agents} needs "
             f"{[len(shapes)] * len(names)}, {', '.join(shapes):.200}"
         )
     return {

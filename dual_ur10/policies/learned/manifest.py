@@ -39,6 +39,11 @@ def versions() -> dict[str, str]:
     return installed(*_PACKAGES)
 
 
+def _kind_of(network: object) -> str:
+    is_act = isinstance(network, ActShape) or (isinstance(network, dict) and "chunk_size" in network)
+    return "transformer" if is_act else "dense"
+
+
 @dataclass(frozen=True, kw_only=True)
 class Manifest(StrictJson):
     """Everything in a checkpoint but the weights.
@@ -62,8 +67,7 @@ class Manifest(StrictJson):
     signature: EnvironmentSignature
     agents: AgentsKind
     network: Annotated[
-        Annotated[NetworkShape, Tag("layers")] | Annotated[ActShape, Tag("act")],
-        Discriminator(lambda value: "act" if isinstance(value, ActShape) or "chunk_size" in value else "layers"),
+        Annotated[NetworkShape, Tag("dense")] | Annotated[ActShape, Tag("transformer")], Discriminator(_kind_of)
     ]
     normalisers: Annotated[tuple[Normaliser, ...], JsonList] = ()
     training: Object = dataclasses.field(default_factory=dict)

@@ -40,8 +40,8 @@ class ActImitator(DemonstrationLearner):
         """Fit a transformer to all samples, and save its policy at each check at which it is the best so far."""
         settings = self._settings
         fit = ActFit(settings, self._shape, self._chunks(), self._blind, seed_of(self._asked.seed, number))
-        if self._fitted and self._tensors:
-            fit.restore(self._tensors, self._fitted)
+        if self._gradient_steps and self._tensors:
+            fit.restore(self._tensors, self._gradient_steps)
 
         def on_step(step: int, loss: float) -> None:
             self._tell(f"fitting, {100 * step // settings.fit_steps} %, deviation {loss:.4f}")
@@ -55,7 +55,7 @@ class ActImitator(DemonstrationLearner):
             self._folder.check_progress(
                 [made], lambda found: self._manifest_of(fit, found), self._progress.steps, seconds
             )
-            self._fitted = fit.done
+            self._gradient_steps = fit.done
             self._save(begun, fit.state())
 
     def _manifest_of(self, fit: ActFit, evaluation: dict[str, object] | None) -> Manifest:

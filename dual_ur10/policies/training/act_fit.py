@@ -106,7 +106,7 @@ class ActFit:
                 found = chunks_of(self.shape, self._weights, *(each[rows] for each in self._inputs))
                 loss = ((found - labels).abs() * known).sum() / (known.sum() * labels.shape[2])
                 self._optimizer.zero_grad()
-                loss.backward()  # type: ignore[no-untyped-call]  # torch's
+                loss.backward()
                 torch.nn.utils.clip_grad_norm_(self._weights.values(), _LARGEST)
                 self._optimizer.step()
                 self.done += 1
@@ -183,11 +183,10 @@ def chunks_of(shape: ActShape, weights: dict[str, Any], state: Any, observation:
         return functional.layer_norm(x, x.shape[-1:], weights[f"{name}.weight"], weights[f"{name}.bias"], EPSILON)
 
     def attention(name: str, *inputs: Any) -> Any:
-        parts = zip(
-            inputs, weights[f"{name}.in_proj_weight"].chunk(3), weights[f"{name}.in_proj_bias"].chunk(3), strict=True
-        )
-        heads = [functional.linear(*each).unflatten(-1, (shape.n_heads, -1)).transpose(-3, -2) for each in parts]
-        found = functional.scaled_dot_product_attention(*heads)
+        weight, bias = weights[f"{name}.in_proj_weight"].chunk(3), weights[f"{name}.in_proj_bias"].chunk(3)
+        heads: list[Any] = list(map(functional.linear, inputs, weight, bias))
+        split = [each.unflatten(-1, (shape.n_heads, -1)).transpose(-3, -2) for each in heads]
+        found: Any = functional.scaled_dot_product_attention(*split)
         return dense(f"{name}.out_proj", found.transpose(-3, -2).flatten(-2))
 
     def block(name: str, x: Any, attended: Any, first: int) -> Any:

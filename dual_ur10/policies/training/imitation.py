@@ -64,12 +64,12 @@ class DemonstrationLearner:
         self._blind = self._indices(self._demonstrated.unseen)
         self._on_progress, self._shown_s = on_progress, 0.0
         self._progress = Progress(0, self._asked.steps)
-        self._rounds, self._longest, self._fitted = 0, 1, 0
+        self._rounds, self._longest, self._gradient_steps = 0, 1, 0
         self._time_left = TimeLeft()
         self._samples: list[Samples] = []
         if saved is not None:
             self._rounds, self._longest, self._progress.steps = saved.rounds, saved.longest, saved.steps
-            self._fitted = saved.fitted
+            self._gradient_steps = saved.fitted
             self._samples = [self._load_samples(k) for k in range(self._rounds)]
 
     def run(self) -> Path:
@@ -186,7 +186,7 @@ class DemonstrationLearner:
             steps=self._progress.steps,
             rounds=self._rounds,
             longest=self._longest,
-            fitted=self._fitted,
+            fitted=self._gradient_steps,
         )
 
     def _path(self, number: int) -> Path:

@@ -101,9 +101,10 @@ def test_minaris_own_collector_collects(by_agent):
 
 def test_read_samples_are_the_recorded_ones():
     made(episodes=1)
-    observation, action = read_dataset("ur10/sine/scripted-v0", view_of(SINE, KEYWORDS))
+    observation, action, episode = read_dataset("ur10/sine/scripted-v0", view_of(SINE, KEYWORDS))
     policy = policies.load("scripted", SINE, **KEYWORDS)
     assert observation.shape == (50, 94)
+    assert not episode.any()
     expected = np.array([policy(row) for row in observation.astype(np.float64)])
     np.testing.assert_allclose(expected, action, atol=2e-4)  # single precision of what was seen
 
@@ -111,11 +112,12 @@ def test_read_samples_are_the_recorded_ones():
 def test_only_successful_episodes_are_read():
     made("ur10/other-v0", policy="scripted", episodes=2)
     view = view_of(SINE, KEYWORDS)
-    whole, _ = read_dataset("ur10/other-v0", view)
+    whole, _, episode = read_dataset("ur10/other-v0", view)
     dataset = minari.load_dataset("ur10/other-v0")
     dataset.storage.update_episode_metadata([{"success": "false"}], [0])
-    half, _ = read_dataset("ur10/other-v0", view)
+    half, *_ = read_dataset("ur10/other-v0", view)
     assert (len(whole), len(half)) == (100, 50)
+    assert episode.tolist() == [0] * 50 + [1] * 50
     np.testing.assert_array_equal(half, whole[50:])
 
 

@@ -619,7 +619,7 @@ def test_the_default_networks_are_those_of_the_settings():
         for algorithm in get_args(settings.Algorithm)
     }
     ((joint,), (shared,)) = by_algorithm["dagger"], by_algorithm["ppo"]
-    assert by_algorithm == {"ppo": {shared}, "sac": {shared}, "bc": {joint}, "dagger": {joint}}
+    assert by_algorithm == {"ppo": {shared}, "sac": {shared}, "bc": {joint}, "dagger": {joint}, "act": {joint}}
     told = dict(options())["train"]["--agents"].help
     assert f"Default: {joint}; of ppo and sac without --init: {shared}." in told
     table = (DOCS / "tutorials" / "train.md").read_text()

@@ -155,6 +155,20 @@ def test_lerobot_evaluates(run, exported, root):
     assert found["overall"]["n_episodes"] == 2
 
 
+def test_lerobot_loads_and_evaluates_a_checkpoint_of_act(run, root):
+    run(
+        "-m", "dual_ur10", "train", "Handover", "--algo", "act", "--envs", 2, "--out", root / "act",
+        "--hyperparameter", "demonstrations=2", "--hyperparameter", "fit_steps=5", "--hyperparameter", "dim_model=16",
+    )  # fmt: skip
+    policy = root / "act" / "policy"
+    assert "20 chunks of LeRobot are those of dual_ur10" in run(HERE / "load_policy.py", policy)
+    run(
+        *script("eval"), f"--policy.path={policy}", "--env.type=dual_ur10", "--env.task=Handover",
+        "--env.episode_length=30", "--env.settings={randomization: mild}", "--eval.n_episodes=2",
+        "--eval.batch_size=2", "--policy.device=cpu", f"--output_dir={root / 'act_evaluated'}",
+    )  # fmt: skip
+
+
 ROLLOUT = ("--fps=25", "--task=sway", "--policy.device=cpu", "--play_sounds=false")
 
 

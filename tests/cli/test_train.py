@@ -26,7 +26,7 @@ def run(*arguments):
     [
         ((), "name an environment"),
         (("Lift",), "unknown environment"),
-        (("SineTracking", "--algo", "td3"), "unknown algorithm 'td3': use one of 'ppo', 'sac', 'bc', 'dagger'"),
+        (("SineTracking", "--algo", "td3"), "unknown algorithm 'td3': use one of 'ppo', 'sac', 'bc', 'dagger', 'act'"),
         (("SineTracking", "--agents", "both"), "unknown agents"),
         (("SineTracking", "--hyperparameter", "rounds=2"), "unknown hyperparameter of dagger 'rounds'"),
         (("SineTracking", "--hyperparameter", "hidden=many"), "hidden is 'many'"),

@@ -36,6 +36,10 @@ class ActImitator(DemonstrationLearner):
         self._settings: ActSettings = self._asked.settings
         self._shape, self._tensors = act_shape(self._settings, self._view), tensors
 
+    def _add(self, samples: Samples, begun: float) -> None:
+        self._gradient_steps, self._tensors = 0, None  # with more samples the fit begins anew
+        super()._add(samples, begun)
+
     def _fit(self, number: int, begun: float) -> None:
         """Fit a transformer to all samples, and save its policy at each check at which it is the best so far."""
         settings = self._settings

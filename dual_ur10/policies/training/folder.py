@@ -4,7 +4,7 @@ training.json          specification: `dual_ur10.policies.training.settings.Trai
 lock                   held by the process that trains here
 state/                 state from which --resume continues; see `dual_ur10.policies.training.state`
 samples-0000.safetensors, ...
-                       imitation: samples of each round
+                       imitation: samples of each round, with their episodes
 episodes/              DAgger with an operator: records of all episodes
 steps-000102400/, ...  intermediate checkpoints
 policy/                the resulting checkpoint

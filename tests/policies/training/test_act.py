@@ -79,6 +79,14 @@ def test_an_interrupted_training_gives_the_same_result(
     assert resume(tmp_path / "out").name == "policy-2"  # nothing is left to do
 
 
+def test_a_longer_training_fits_to_all_samples_anew(whole: Path, tmp_path: Path) -> None:
+    folder = shutil.copytree(whole.parent, tmp_path / "out")
+    resume(folder, steps=200)
+    values = state.load(folder / "state")[1]
+    assert [each["steps"] for each in values["checks"]] == [100] * 3 + [200] * 3
+    assert values["fitted"] == 20
+
+
 def test_a_state_of_another_network_is_refused(whole: Path, tmp_path: Path) -> None:
     folder = shutil.copytree(whole.parent, tmp_path / "out")
     tensors, values = state.load(folder / "state")

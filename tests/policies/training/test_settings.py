@@ -14,6 +14,7 @@ from dual_ur10.policies.learned.signature import view_of
 from dual_ur10.policies.training.settings import (
     CHECK_SEED,
     IMITATION,
+    ActSettings,
     Imitation,
     Reinforcement,
     defaults,
@@ -27,16 +28,19 @@ GENERAL_STEPS = {"ppo": 1_000_000, "sac": 300_000, "bc": 96_000, "dagger": 288_0
 
 
 @pytest.mark.parametrize("env_id", ENV_IDS)
-@pytest.mark.parametrize("algorithm", ["ppo", "sac", "bc", "dagger"])
+@pytest.mark.parametrize("algorithm", ["ppo", "sac", "bc", "dagger", "act"])
 def test_every_task_has_settings_for_every_algorithm(env_id, algorithm):
     asked = defaults(env_id, algorithm)
     assert asked.env_id == env_id
     own = task_settings(env_id)
-    assert asked.steps == {**GENERAL_STEPS, **own.steps}[algorithm]
+    assert asked.steps == {**GENERAL_STEPS, **own.steps}["bc" if algorithm == "act" else algorithm]
     shown = {"randomization": own.randomization, "action_latency_ticks": 5, **own.keywords}
     assert asked.keywords == (shown if algorithm in IMITATION else own.from_scratch)
     assert asked.agents == ("joint" if algorithm in IMITATION else own.agents)
-    assert isinstance(asked.settings, Imitation if algorithm in IMITATION else Reinforcement)
+    kinds = {"ppo": Reinforcement, "sac": Reinforcement, "act": ActSettings}
+    assert type(asked.settings) is kinds.get(algorithm, Imitation)
+    if algorithm in IMITATION:
+        assert asked.settings.unseen == (*own.imitation.unseen, *own.joint_unseen)
     assert (asked.envs, asked.checks) == ((own.envs, own.checks) if algorithm in IMITATION else (64, 32))
 
 

@@ -19,6 +19,7 @@ from dual_ur10.envs.core.options import AS_ON_CONTROLLERS, MOVE_TO_START
 from dual_ur10.errors import DualUR10Error, ResetRefusedError, SettingsError
 from dual_ur10.ids import __version__
 from dual_ur10.policies.baselines import RandomPolicy, ZeroPolicy
+from dual_ur10.policies.chunks.chunk_policy import ChunkPolicy
 from dual_ur10.policies.evaluation.results import EpisodeResult, Evaluation
 from dual_ur10.policies.evaluation.rollout import act
 from dual_ur10.policies.learned.checkpoint import warn_outside
@@ -47,7 +48,7 @@ _PACKAGES = ("mujoco", "gymnasium", "numpy")
 
 def evaluate(
     env_id: str,
-    policy: Policy | Callable[[Any], Any] | str,
+    policy: Policy | ChunkPolicy | Callable[[Any], Any] | str,
     *,
     episodes: int = 300,
     seed: int = 0,

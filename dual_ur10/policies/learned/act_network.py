@@ -106,7 +106,7 @@ class ActShape(StrictJson):
                 found |= dense(f"{name}.{each}.out_proj", size, size) | norm(f"{name}.norm{k + 1}")
             return found | norm(f"{name}.norm{len(attentions) + 1}")
 
-        found = {}
+        found: dict[str, tuple[int, ...]] = {}
         for k in range(self.n_encoder_layers):
             found |= layer(f"encoder.layers.{k}", "self_attn")
         found |= layer("decoder.layers.0", "self_attn", "multihead_attn") | norm("decoder.norm")

@@ -206,5 +206,12 @@ def gather(
     judged = judged if judged.any() else counted
     if learner is not None:
         successes &= alone
-    samples = (np.concatenate(each) for each in (seen, labels, numbers))
-    return Gathered(*samples, returns[judged], successes[judged], steps, now)
+    return Gathered(
+        np.concatenate(seen),
+        np.concatenate(labels),
+        np.concatenate(numbers),
+        returns[judged],
+        successes[judged],
+        steps,
+        now,
+    )

@@ -602,7 +602,7 @@ def defaults(
         raise UnknownNameError("algorithm", str(algorithm), get_args(Algorithm))
     if agents is None:
         agents = "joint" if algorithm in IMITATION or init else own.agents
-    settings: Reinforcement | Demonstrated = own.act if algorithm == "act" else own.imitation
+    settings: Reinforcement | Imitation | ActSettings = own.act if algorithm == "act" else own.imitation
     if algorithm in IMITATION:
         unseen = (*own.imitation.unseen, *(own.joint_unseen if agents == "joint" else ()))
         settings = dataclasses.replace(settings, unseen=unseen)

@@ -23,6 +23,7 @@ from dual_ur10.sim2real.recording.schemas import EPISODE_TOPIC, EVENT, EVENT_TOP
 from dual_ur10.sim2real.trajectory.files import _csv_of, _json_of
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
 from tests.fuzz.targets import HEADER, MANIFEST, NETWORKS, PREAMBLE, PROFILE, in_pieces
+from tests.policies.learned.acts import act_parts
 from tests.ur_emulator.rtde_bytes import VERSION_2, data, inputs, message, outputs
 from ur_core.kinematics.ur10 import NOMINAL_DH
 from ur_core.protocol.primary_messages import version_message
@@ -163,6 +164,7 @@ def _file() -> bytes:
 
 _PRIMARY: Final = version_message(PROFILE) + PrimaryPacket(PROFILE, NOMINAL_DH).state(zero_values(PROFILE))
 _MANIFEST: Final = json.loads(MANIFEST.text())
+_ACT: Final = act_parts("DualUR10/SineTracking-v0")[1].text().encode()
 _FLAT: Final = struct.pack("<d", 0.5)
 
 _TRAJECTORY: Final = JointTrajectory(("left", "right"), [0.0, 1.5], *np.zeros((3, 2, 2, 6)))
@@ -248,7 +250,7 @@ SEEDS: Final[dict[str, list[bytes]]] = {
         b"\2" + _csv_of(_TRAJECTORY).encode(),
     ],
     "calibration_data": [_CALIBRATION.model_dump_json(exclude_none=True).encode(), b"{}"],
-    "checkpoint_manifest": [json.dumps(_MANIFEST).encode()],
+    "checkpoint_manifest": [json.dumps(_MANIFEST).encode(), _ACT],
     "checkpoint_weights": [save(_tensors(NETWORKS, MANIFEST))],
     "record_file": [_file()],
     "record_messages": [

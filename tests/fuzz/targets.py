@@ -29,7 +29,7 @@ from dual_ur10.errors import (
     TrajectoryError,
 )
 from dual_ur10.policies.learned import schema
-from dual_ur10.policies.learned.checkpoint import _layers
+from dual_ur10.policies.learned.checkpoint import _networks
 from dual_ur10.policies.learned.manifest import FORMAT, _checksum, parse
 from dual_ur10.policies.remote.wire import packed, unpacked
 from dual_ur10.sim2real.calibration import data_file
@@ -639,7 +639,7 @@ NETWORKS, MANIFEST = parts(agents="shared", hidden=2)
 @target(CheckpointError, words="dtype shape data_offsets __metadata__ F32 F64 BF16 policy.0.weight policy.1.bias")
 def checkpoint_weights(data: bytes) -> None:
     """Weights in the form of safetensors."""
-    for layers in _layers(data, MANIFEST, "weights"):
+    for layers in _networks(data, MANIFEST, "weights"):
         for weight, bias in layers:
             assert np.isfinite(weight).all()
             assert np.isfinite(bias).all()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -26,7 +27,8 @@ from dual_ur10.cli.options import (
     record_in,
 )
 from dual_ur10.cli.session import STOP_COMMANDED, asks, late_text, on_virtual, power_on
-from ur_core.files import check_target
+from dual_ur10.errors import SettingsError
+from ur_core.files import check_target, write_text
 from ur_core.processes.interrupts import INTERRUPTED
 
 DIFFERENT = 1
@@ -91,14 +93,38 @@ def replay(
 
 
 def compare(
-    run_a: Annotated[Path, typer.Argument(metavar="RUN_A", help="A recorded run: its folder or its file.")],
-    run_b: Annotated[Path, typer.Argument(metavar="RUN_B", help="Another of the same task.")],
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The report, one HTML file.")] = Path(
-        "compare.html"
-    ),
+    run_a: Annotated[
+        Path,
+        typer.Argument(metavar="RUN_A", help="A recorded run: its folder or its file; or a table of policies, .csv."),
+    ],
+    run_b: Annotated[
+        Path | None, typer.Argument(metavar="RUN_B", help="Another run of the same task; none beside a table.")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="FILE",
+            help="The report of two runs, one HTML file. Default: compare.html. Of a table, its figures as JSON.",
+        ),
+    ] = None,
     allow_partial: Partial = False,
 ) -> None:
-    """Compare two recorded runs of a task, and write a report of their differences."""
+    """Compare two recorded runs of a task, and write a report of their differences.
+
+    Or compare the success of several policies in simulation and on a cell, from a CSV table with the columns task,
+    policy, simulation_successes, simulation_episodes, cell_successes and cell_episodes: correlation and rank
+    correlation of the rates of each task.
+    """
+    if run_b is None:
+        if run_a.suffix.lower() != ".csv":
+            raise SettingsError(f"{run_a} alone: name two recorded runs, or a table of policies, a file with .csv")
+        _compare_policies(run_a, out)
+        return
+    if ".csv" in (run_a.suffix.lower(), run_b.suffix.lower()):
+        raise SettingsError("a table of policies is compared alone: name it, or two recorded runs")
+    out = Path("compare.html") if out is None else out
     check_extras(("records", "reading a record"), ("plot", "the report of a comparison"))
     from dual_ur10.sim2real.analysis.compare import compare as compared
     from dual_ur10.sim2real.analysis.report import write_report
@@ -130,6 +156,45 @@ def compare(
     console.print(f"report  {out}", soft_wrap=True, highlight=False, markup=False)
 
 
+def _compare_policies(path: Path, out: Path | None) -> None:
+    """Print the agreement of each task of a table of policies, and write it to a JSON file if one is named."""
+    from dual_ur10.policies.evaluation.agreement import agreements, read_policies
+
+    if out is not None:
+        if out.suffix.lower() != ".json":
+            raise SettingsError(f"--out is {out}: the figures of a table of policies are written as JSON, to FILE.json")
+        check_target(out)
+    found = agreements(read_policies(path))
+    for each in found:
+        table = Table(title=escape(each.task), title_justify="left", title_style="bold", header_style="bold")
+        table.add_column("policy")
+        for header in ("in simulation", "on the cell"):
+            table.add_column(f"{header}\n[dim]95 % interval[/]", justify="right")
+        for row in each.policies:
+            table.add_row(escape(row.policy), _successes(row.simulation), _successes(row.cell))
+        console.print(table)
+        console.print(
+            f"{len(each.policies)} policies: Pearson's r {_correlation(each.pearson)}, Spearman's rank correlation "
+            f"{_correlation(each.spearman)}, mean maximum rank violation {each.max_rank_violation:.3f}",
+            highlight=False,
+            soft_wrap=True,
+        )
+        for note in each.notes:
+            console.print(f"[yellow]note:[/] {note}", highlight=False, soft_wrap=True)
+    if out is not None:
+        write_text(out, json.dumps([each.as_dict() for each in found], indent=1, ensure_ascii=False) + "\n")
+        console.print(f"json  {out}", soft_wrap=True, highlight=False, markup=False)
+
+
+def _successes(count: SuccessCount) -> str:
+    low, high = (100 * each for each in count.interval)
+    return f"{count.successes} of {count.episodes}: {low:.0f} to {high:.0f} %"
+
+
+def _correlation(value: float | None) -> str:
+    return "none" if value is None else f"{value:.3f}"
+
+
 def _name(path: Path) -> str:
     """Return the name of a run: that of its folder."""
     resolved = path.resolve()
@@ -137,6 +202,7 @@ def _name(path: Path) -> str:
 
 
 if TYPE_CHECKING:
+    from dual_ur10.policies.evaluation.agreement import SuccessCount
     from dual_ur10.sim2real.analysis.fit import Estimate
 
 

@@ -90,7 +90,7 @@ def check_min_success(rate: float | None) -> None:
         raise SettingsError(f"--min-success is {rate:g}: it must be a rate from 0 to 1, such as 0.95")
 
 
-def conclude(successes: int, episodes: int, late: int, min_success: float | None) -> None:
+def conclude(successes: int, episodes: int, late: int, min_success: float | None, task: str = "") -> None:
     """Print a last line if no episode succeeded or too few did; exit with code `BELOW` below the required rate.
 
     Args:
@@ -98,12 +98,13 @@ def conclude(successes: int, episodes: int, late: int, min_success: float | None
         episodes: Number of episodes.
         late: Number of actions that missed their deadline.
         min_success: Required rate; None: none.
+        task: Beginning of the line, where there are several tasks.
     """
     rate = successes / episodes
     below = min_success is not None and rate < min_success
     if successes and not below:
         return
-    text = f"{'too few successes' if successes else 'nothing succeeded'}: {successes} of {episodes}"
+    text = f"{task}{'too few successes' if successes else 'nothing succeeded'}: {successes} of {episodes}"
     if below:
         text += f" are a rate of {rate:.4g}, required {min_success:g} or more"
     if late:

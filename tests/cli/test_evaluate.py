@@ -11,10 +11,12 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from dual_ur10 import policies
+from dual_ur10 import ids, policies
 from dual_ur10.cli import evaluate as cli_evaluate
 from dual_ur10.policies import registry
 from dual_ur10.policies.evaluation import evaluate as module
+from dual_ur10.policies.evaluation import failures
+from dual_ur10.policies.evaluation.results import EpisodeResult, Evaluation
 from tests.cli import command
 
 
@@ -78,6 +80,12 @@ def test_too_few_successes_are_exit_code_1(policy: str, wanted: str, expected: i
         (("SineTracking", "--randomization", "x", "--set", "randomization=y"), "randomization is set twice"),
         (("SineTracking", "--json", "none/x.json"), "cannot write none/x.json"),
         (("SineTracking", "--json", "x", "--csv", "./x"), "--json and --csv both name x"),
+        (("SineTracking", "Handover", "--csv", "x"), "--csv is for one task, found DualUR10/SineTracking-v0, Dual"),
+        (("SineTracking", "Handover", "--cell", "lab.toml"), "--cell is for one task"),
+        (("SineTracking", "DualUR10/SineTracking-v0"), "SineTracking-v0 is named twice"),
+        (("SineTracking", "--failures", "none"), "cannot write none"),
+        (("SineTracking", "--failures", ".", "--cell", "lab.toml"), "--failures is for simulation"),
+        (("SineTracking", "-p", "remote:ws://127.0.0.1:9"), "127.0.0.1:9"),
     ],
 )
 def test_a_bad_argument_is_one_line_and_exit_code_2(arguments: tuple[str, ...], message: str) -> None:
@@ -86,6 +94,45 @@ def test_a_bad_argument_is_one_line_and_exit_code_2(arguments: tuple[str, ...], 
     assert text.startswith("error: ")
     assert message in text
     assert text.count("\n") == 1
+
+
+def test_several_tasks_are_written_as_a_list_after_each(tmp_path: Path) -> None:
+    path, few = tmp_path / "x.json", ("-n", "2", "--set", "duration_s=0.4", "--set", "amplitude_m=0.05")
+    code, text = run("SineTracking", "Handover", *few, "--json", str(path))
+    assert (code, "Handover-v0 got an unexpected keyword argument" in text) == (2, True)
+    (found,) = json.loads(path.read_text())
+    assert (found["env_id"], found["summary"]["successes"]) == ("DualUR10/SineTracking-v0", 2)
+
+
+def test_all_are_the_tasks_that_have_the_policy(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[str] = []
+
+    def found(env_id: str, *_: Any, **__: Any) -> Any:
+        seen.append(env_id)
+        episodes = [EpisodeResult(seed, seed < len(seen), 0.0, 1, 1.0) for seed in range(4)]
+        return Evaluation(env_id, "learned", {}, 0, (), tuple(episodes), {})
+
+    monkeypatch.setattr(module, "evaluate", found)
+    code, text = run("all", "-p", "learned", "-n", "4", "--min-success", "0.5")
+    assert seen == [each for each in ids.TASKS if "learned" in ids.TASKS[each].learned]
+    assert (code, "SineTracking-v0: too few successes: 1 of 4" in text) == (1, True)
+    seen.clear()
+    run("all", "-p", "my_module:Mine")
+    assert seen == [each for each in ids.TASKS if ids.TASKS[each].scripted]
+
+
+def test_failed_episodes_are_filmed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    pytest.importorskip("imageio_ffmpeg")
+    filmed: list[tuple[str, Any]] = []
+    monkeypatch.setattr(failures, "film", lambda path, shown, **_: filmed.append((path.name, shown)))
+    arguments = ("-n", "3", "--set", "duration_s=0.4", "--failures", str(tmp_path), "--seed", "5")
+    code, text = run("SineTracking", "-p", "random", *arguments, "--json", str(tmp_path / "x.json"))
+    assert (code, f"video  3 of 3 failed episodes: {tmp_path}" in text) == (0, True)
+    assert [name for name, _ in filmed] == [f"SineTracking-v0-{seed}.mp4" for seed in (5, 6, 7)]
+    episodes = json.loads((tmp_path / "x.json").read_text())["episodes"]
+    for (_, shown), episode in zip(filmed, episodes, strict=True):
+        assert shown.infos[-1]["flange_rms_m"].tolist() == list(episode["last"].values())[2:4]
+    assert "video  no failed episode" in run("SineTracking", *arguments)[1]
 
 
 def test_a_failed_run_leaves_an_old_file_alone(tmp_path: Path) -> None:
@@ -104,7 +151,7 @@ def test_randomization_is_a_keyword_of_the_environment(monkeypatch: pytest.Monke
 
     monkeypatch.setattr(module, "evaluate", record)
     code, text = run("SineTracking", "--randomization", "plant", "--set", "randomize=false")
-    assert (code, text) == (130, "interrupted after 0 of 300 episodes; no result was written\n")
+    assert (code, text) == (130, "interrupted after 0 of 300 episodes, whose result was not written\n")
     assert seen["env_kwargs"] == {"randomization": "plant", "randomize": False}
     assert (seen["episodes"], seen["seed"], seen["num_envs"], seen["move_to_start"]) == (300, 0, 8, False)
     run("SineTracking", "--cell", "lab.toml", "--no-record")

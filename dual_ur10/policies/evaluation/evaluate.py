@@ -58,6 +58,7 @@ def evaluate(
     move_to_start: bool = False,
     on_progress: Callable[[Evaluation], None] | None = None,
     on_step: Callable[[float], None] | None = None,
+    on_episode: Callable[[EpisodeResult, Array], None] | None = None,
 ) -> Evaluation:
     """Run episodes with the seeds `seed`, `seed + 1`, ..., and return their results.
 
@@ -85,6 +86,7 @@ def evaluate(
             others. Called whenever their number grows.
         on_step: Callback after each step with the number of episodes that have run, where one that is running counts
             as the elapsed ratio of its longest time.
+        on_episode: Callback with the result of each episode and its actions, (k, D), in the order of their ends.
 
     Raises:
         SettingsError: A number is out of its range, the evaluation itself sets a keyword, or environment and policy are
@@ -136,9 +138,8 @@ def evaluate(
             if on_progress is not None:
                 on_progress(result(found))
 
-        return result(
-            _run(env, actor, range(seed, seed + episodes), core.timing.period_s, bound, move_to_start, report, on_step)
-        )
+        seeds = range(seed, seed + episodes)
+        return result(_run(env, actor, seeds, core.timing.period_s, bound, move_to_start, report, on_step, on_episode))
     finally:
         env.close()
         if isinstance(policy, str):
@@ -154,6 +155,7 @@ def _run(
     move_to_start: bool,
     report: Callable[[Sequence[EpisodeResult]], None],
     on_step: Callable[[float], None] | None,
+    on_episode: Callable[[EpisodeResult, Array], None] | None,
 ) -> list[EpisodeResult]:
     horizon = getattr(env.unwrapped.core.task, "horizon", None) or math.inf
     n, kind, one_by_one = env.num_envs, env.single_action_space.dtype, isinstance(actor, EpisodeAware)
@@ -162,6 +164,7 @@ def _run(
     upcoming, reported = n, 0
     live, fresh = np.ones(n, dtype=bool), np.ones(n, dtype=bool)
     found: list[EpisodeResult | None] = [None] * len(seeds)
+    played: list[list[Array]] = [[] for _ in range(n)]
     observation: Any = None
     while live.any():
         if fresh.any():
@@ -174,12 +177,18 @@ def _run(
                 rows = np.flatnonzero(fresh)
                 actor.begin(rows, [seeds[current[row]] for row in rows.tolist()])
         action = act(actor, observation, env, kind)
+        if on_episode is not None:
+            for row in np.flatnonzero(live).tolist():
+                played[row].append(action[row].copy())
         observation, reward, terminated, truncated, info = env.step(action)
         tally.add(reward, info)
         fresh = terminated | truncated
         for row in np.flatnonzero(fresh & live).tolist():
-            found[current[row]] = tally.episode(row, seeds[current[row]], period_s, info)
+            ended = found[current[row]] = tally.episode(row, seeds[current[row]], period_s, info)
             live[row] = False
+            if on_episode is not None:
+                on_episode(ended, np.array(played[row]))
+                played[row].clear()
         if one_by_one or not live.any():
             for row in np.flatnonzero(~live).tolist()[: len(seeds) - upcoming]:
                 current[row], upcoming, live[row] = upcoming, upcoming + 1, True

@@ -8,7 +8,7 @@ import io
 import json
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -308,13 +308,9 @@ class Evaluation:
             table.add_row(f"{escape(quantity)}, {unit}", numbers)
         return table
 
-    def to_json(self, path: str | Path) -> None:
-        """Write everything to a JSON file: all or nothing.
-
-        Raises:
-            DualUR10Error: The file cannot be written. An existing one is unchanged.
-        """
-        data = {
+    def as_dict(self) -> dict[str, Any]:
+        """Return everything as it is written to files."""
+        return {
             "env_id": self.env_id,
             "policy": self.policy,
             "kwargs": self.kwargs,
@@ -324,7 +320,14 @@ class Evaluation:
             "summary": self.summary(),
             "episodes": [each.as_dict() for each in self.episodes],
         }
-        write_text(path, json.dumps(_plain(data), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+
+    def to_json(self, path: str | Path) -> None:
+        """Write everything to a JSON file: all or nothing.
+
+        Raises:
+            DualUR10Error: The file cannot be written. An existing one is unchanged.
+        """
+        _write_json(path, self.as_dict())
 
     def to_csv(self, path: str | Path) -> None:
         """Write a row per episode to a CSV file: all or nothing. None is an empty cell.
@@ -341,6 +344,19 @@ class Evaluation:
             values = [row[kind].get(name) for name in names for kind in ("peak", "last")]
             writer.writerow([*(row[key] for key in plain), *values])
         write_text(path, text.getvalue())
+
+
+def write_evaluations(path: str | Path, evaluations: Sequence[Evaluation]) -> None:
+    """Write a list of evaluations to a JSON file, each as `Evaluation.to_json` writes it: all or nothing.
+
+    Raises:
+        DualUR10Error: The file cannot be written. An existing one is unchanged.
+    """
+    _write_json(path, [each.as_dict() for each in evaluations])
+
+
+def _write_json(path: str | Path, data: Any) -> None:
+    write_text(path, json.dumps(_plain(data), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
 
 
 def _plain(value: Any) -> Any:

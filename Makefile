@@ -223,6 +223,7 @@ bench: $(VENV)/.dev $(KERNEL)  ## all benchmarks, figures to out/*.json
 	@$(VENV)/bin/python benchmarks/returns.py --json out/returns.json
 	@$(VENV)/bin/python benchmarks/learning.py --json out/learning.json
 	@$(VENV)/bin/python benchmarks/collection.py --json out/collection.json
+	@$(VENV)/bin/python benchmarks/agreement.py --csv out/agreement.csv --json out/agreement.json
 	@$(VENV)/bin/python benchmarks/lerobot_export.py --json out/lerobot_export.json
 
 lint: $(VENV)/.dev  ## ruff, mypy and the contracts of imports

@@ -117,6 +117,11 @@ VIDEOS = {
         "Scripted policy",
         "Both arms tilt the tray until the ball rests in its middle, and carry it to its goal.",
     ),
+    "tray-balance-learned": (
+        "TrayBalance --policy learned --randomization mild --speed 2 --cameras near",
+        "Learned policy",
+        "One network for both arms, which sees their goals alone.",
+    ),
     "box-lift-scripted": (
         "BoxLift --policy scripted --randomization mild --speed 4 --cameras near",
         "Scripted policy",
@@ -126,6 +131,11 @@ VIDEOS = {
         "LidAndPlace --policy scripted --randomization mild --speed 5 --cameras near",
         "Scripted policy",
         "The left arm holds the sprung lid open, and yields to the errors of the arc.",
+    ),
+    "lid-and-place-learned": (
+        "LidAndPlace --policy learned --randomization mild --speed 5 --cameras near",
+        "Learned policy",
+        "One network for both arms, which sees their goals alone.",
     ),
 }
 """Videos: the command that makes each, its title, and what it shows. Those of trained policies need their folders."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import numbers
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, get_args, runtime_checkable
 
 import numpy as np
 
@@ -14,7 +14,8 @@ from ur_core.types import Array
 MOST_ACTIONS = 1000
 """Largest number of actions in a chunk."""
 
-CHUNK_MODES = ("joint_delta", "joint_position")
+ChunkMode = Literal["joint_delta", "joint_position"]
+CHUNK_MODES = get_args(ChunkMode)
 """Meanings of the actions of a chunk."""
 
 

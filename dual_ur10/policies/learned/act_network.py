@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.errors import CheckpointError
-from dual_ur10.policies.chunks.chunk_policy import MOST_ACTIONS
+from dual_ur10.policies.chunks.chunk_policy import MOST_ACTIONS, ChunkMode
 from dual_ur10.policies.learned.network import MOST_LAYERS, MOST_PARAMETERS, MOST_WIDTH, DenseLayer
 from dual_ur10.policies.learned.schema import StrictJson, Whole, Wholes
 from ur_core.types import Single
@@ -33,7 +33,7 @@ ActTensors = Mapping[str, Single]
 
 @dataclass(frozen=True)
 class ActShape(StrictJson):
-    """Sizes of a transformer; names are those of LeRobot.
+    """Sizes of a transformer, by LeRobot's names, and the meaning of its numbers.
 
     Attributes:
         state: Indices, in an observation of both arms, of what LeRobot calls `observation.state`: the commanded joints
@@ -45,6 +45,7 @@ class ActShape(StrictJson):
         n_heads: Number of heads of the attention.
         dim_feedforward: Units of the hidden layer behind an attention.
         n_encoder_layers: Number of layers of the encoder. The decoder has one.
+        action_mode: Meaning of a chunk's actions; see `dual_ur10.policies.chunks.chunk_policy.ChunkPolicy`.
 
     Raises:
         CheckpointError: A size is not possible.
@@ -57,6 +58,7 @@ class ActShape(StrictJson):
     n_heads: Whole
     dim_feedforward: Whole
     n_encoder_layers: Whole
+    action_mode: ChunkMode
 
     def __post_init__(self) -> None:
         for name, most in (

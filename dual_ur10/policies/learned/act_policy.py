@@ -1,4 +1,4 @@
-"""Learned chunk policies: a transformer, and the joint positions that its outputs stand for."""
+"""Learned chunk policies: a transformer, and the actions that its outputs stand for."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class ActPolicy:
         manifest: Manifest of the checkpoint.
         layers: As given.
         dt_s: Time between two actions of a chunk.
-        action_mode: "joint_position"; see `dual_ur10.policies.chunks.chunk_policy.ChunkPolicy`.
+        action_mode: See `dual_ur10.policies.chunks.chunk_policy.ChunkPolicy`.
         latency_s: Time after which a chunk counts in simulation: one action, as on controllers.
         portable: A child process may ask it.
 
@@ -33,13 +33,13 @@ class ActPolicy:
         CheckpointError: The network is another.
     """
 
-    action_mode = "joint_position"
     portable = True
 
     def __init__(self, manifest: Manifest, networks: Sequence[ActTensors]) -> None:
         if not isinstance(manifest.network, ActShape):
             raise CheckpointError("the network returns no chunks: it is no ACT")
         self.manifest, self.layers = manifest, networks
+        self.action_mode: str = manifest.network.action_mode
         self._network = ActNetwork(manifest.network, networks[0])
         self._state, self._observation, self._action = map(_Scaling, manifest.normalisers)
         self._indices = list(manifest.network.state)
@@ -58,7 +58,7 @@ class ActPolicy:
         """Do nothing: there is no state."""
 
     def chunk(self, observation: Array, time_s: float) -> Array:
-        """Return a chunk of joint positions and openings, (chunk_size, 12 or 14), for an observation of one cell.
+        """Return a chunk of actions, (chunk_size, 12 or 14), for an observation of one cell.
 
         Raises:
             ActionError: Not an observation of its environment.

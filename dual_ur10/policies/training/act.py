@@ -1,4 +1,4 @@
-"""ACT: a transformer imitates chunks of the scripted policy's, or a dataset's, joint positions."""
+"""ACT: a transformer imitates chunks of the scripted policy's, or a dataset's, motion of the joints."""
 
 from __future__ import annotations
 
@@ -72,17 +72,21 @@ class ActImitator(DemonstrationLearner):
             order = np.argsort(episode, kind="stable")
             ends = np.flatnonzero(np.diff(episode[order], append=-1)) + 1
             left = np.repeat(ends, np.diff(ends, prepend=0)) - np.arange(len(order))
-            positions = self._positions(Samples(observation, action, episode))
-            parts.append((observation[order], positions[order], left))
+            parts.append((observation[order], self._labels(Samples(observation, action, episode))[order], left))
         return Chunks(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
-    def _positions(self, samples: Samples) -> Single:
-        """Return what the samples' actions lead to, (k, A): joints in rad, and grippers from 0, closed, to 1, open."""
-        actions = self._view.signature.actions
-        found = samples.action.astype(np.float64).reshape(len(samples.action), 2, -1)
-        if actions.mode == "joint_delta":
-            commanded = samples.observation[:, list(self._shape.state)].reshape(found.shape)
-            found[..., :6] = commanded[..., :6] + np.clip(found[..., :6], -1.0, 1.0) * np.array(actions.joint_step_rad)
-        if actions.gripper:
+    def _labels(self, samples: Samples) -> Single:
+        """Return the samples' actions as those of chunks, (k, A), but grippers from 0, closed, to 1, open."""
+        count, view = len(samples.action), self._demonstrated_view
+        action = samples.action.astype(np.float64).reshape(count, 2, -1)
+        adapter = view.setup.make_adapter(count)
+        commanded = samples.observation[:, view.indices(["commanded_q_rad"], joint=True)]
+        adapter.reset(commanded.astype(np.float64).reshape(count, 2, 6))
+        found = action.copy()
+        found[..., :6] = adapter.goals(action)
+        if self._settings.chunk_mode == "joint_delta":
+            step_rad = self._view.setup.make_adapter().joint_step_rad.reshape(2, 6)
+            found[..., :6] = (found[..., :6] - adapter.commanded_q_rad) / step_rad
+        if view.signature.actions.gripper:
             found[..., 6] = 0.5 * (found[..., 6] + 1.0)
-        return found.reshape(len(found), -1).astype(np.float32)
+        return found.reshape(count, -1).astype(np.float32)

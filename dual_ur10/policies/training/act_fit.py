@@ -35,12 +35,12 @@ class Chunks(NamedTuple):
 
     Attributes:
         observation: (k, O) observations.
-        position: (k, A) joint positions and openings that each sample's action leads to.
+        action: (k, A) action of each sample, as of a chunk.
         left: (k,) number of samples from each one to the end of its episode, itself included.
     """
 
     observation: Single
-    position: Single
+    action: Single
     left: NDArray[np.int64]
 
 
@@ -69,19 +69,21 @@ class ActFit:
         self.normalisers = (
             normaliser_of(chunks.observation[:, indices], blind),
             normaliser_of(chunks.observation, unseen),
-            normaliser_of(chunks.position),
+            normaliser_of(chunks.action),
         )
         shown = [_scaled(chunks.observation[:, indices], self.normalisers[0])]
         shown.append(_scaled(chunks.observation, self.normalisers[1]))
         self._whitenings = [whitening_of(each) for each in shown]
         self._inputs = [(each @ matrix.T).float() for each, matrix in zip(shown, self._whitenings, strict=True)]
-        self._labels = _scaled(chunks.position, self.normalisers[2]).float()
+        self._labels = _scaled(chunks.action, self.normalisers[2]).float()
         self._left = torch.from_numpy(chunks.left)
         with reproducible(seed):
             sizes = {name: size for name, size in shape.tensors.items() if name != _UNUSED}
             self._weights = {name: _initial(name, size).requires_grad_() for name, size in sizes.items()}
         self._mean = {name: each.detach().clone() for name, each in self._weights.items()}
-        self._optimizer = torch.optim.AdamW(self._weights.values(), lr=settings.learning_rate, weight_decay=_DECAY)
+        self._optimizer = torch.optim.AdamW(
+            self._weights.values(), lr=settings.learning_rate, weight_decay=_DECAY, fused=True
+        )
 
     def __call__(self, steps: int, on_step: Callable[[int, float], None] = lambda step, loss: None) -> float:
         """Make further gradient steps.

@@ -401,6 +401,7 @@ def act_shape(settings: ActSettings, view: EnvironmentView) -> ActShape:
             n_heads=settings.n_heads,
             dim_feedforward=settings.dim_feedforward,
             n_encoder_layers=settings.n_encoder_layers,
+            action_mode=settings.chunk_mode,
         )
     except CheckpointError as error:
         raise TrainingError(str(error)) from error

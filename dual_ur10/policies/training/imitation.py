@@ -61,6 +61,7 @@ class DemonstrationLearner:
         self._demonstrated: Demonstrated = self._asked.settings
         self._threads = threads
         self._view: EnvironmentView = view_of(self._asked.env_id, self._asked.keywords)
+        self._demonstrated_view = view_of(self._asked.env_id, self._asked.demonstrated)
         self._blind = self._indices(self._demonstrated.unseen)
         self._on_progress, self._shown_s = on_progress, 0.0
         self._progress = Progress(0, self._asked.steps)
@@ -82,7 +83,7 @@ class DemonstrationLearner:
         """
         begun = time.monotonic() - self._folder.seconds
         if self._asked.dataset and not self._samples:
-            self._add(read_dataset(self._asked.dataset, self._view), begun)
+            self._add(read_dataset(self._asked.dataset, self._demonstrated_view), begun)
         env = None
         try:
             while not self._has_all:
@@ -92,7 +93,7 @@ class DemonstrationLearner:
                         self._asked.env_id,
                         autoreset_mode="Disabled",
                         threads=self._threads,
-                        **{**AS_ON_CONTROLLERS, **self._asked.keywords},
+                        **{**AS_ON_CONTROLLERS, **self._asked.demonstrated},
                     )
                 if self._is_rest(env.task.horizon):
                     break
@@ -136,7 +137,7 @@ class DemonstrationLearner:
         first = first_seed_of(asked.seed) + number * asked.envs
         found = gather(
             env,
-            Expert(asked.env_id, asked.envs, low, high, **asked.keywords),
+            Expert(asked.env_id, asked.envs, low, high, **asked.demonstrated),
             learner,
             range(first, first + asked.envs),
             expert_ratio=ratio,
@@ -194,7 +195,8 @@ class DemonstrationLearner:
 
     def _load_samples(self, number: int) -> Samples:
         found = state.load_tensors(self._path(number))
-        sizes = (self._view.signature.observation.shape[0], self._view.signature.action.shape[0])
+        view = self._demonstrated_view
+        sizes = (view.signature.observation.shape[0], view.signature.action.shape[0])
         try:
             samples = Samples(*(found[name] for name in Samples._fields))
         except KeyError as error:

@@ -15,7 +15,7 @@ from dual_ur10.envs.core.options import split_keywords
 from dual_ur10.envs.tasks.goal_fields import GOAL_FIELDS
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.ids import TASKS, env_id_of
-from dual_ur10.policies.chunks.chunk_policy import MOST_ACTIONS
+from dual_ur10.policies.chunks.chunk_policy import MOST_ACTIONS, ChunkMode
 from dual_ur10.policies.learned import schema
 from dual_ur10.policies.learned.manifest import AgentsKind
 from dual_ur10.policies.learned.network import MOST_LAYERS, MOST_WIDTH, Activation
@@ -155,6 +155,9 @@ class ActSettings(Demonstrated):
         n_encoder_layers: Number of layers of the encoder. The decoder has one.
         check_steps: Gradient steps between two progress checks.
         averaging: Ratio of the mean weights that a gradient step keeps. The mean is what is checked and saved.
+        chunk_mode: Meaning of a chunk's actions; see `dual_ur10.policies.chunks.chunk_policy.ChunkPolicy`.
+        demonstrated: Action mode of the demonstrations, of the expert's or of a dataset; "": that of the environment.
+            A chunk is of joints in any case.
     """
 
     learning_rate: LearningRate = 5e-4
@@ -168,6 +171,8 @@ class ActSettings(Demonstrated):
     n_encoder_layers: Annotated[int, Field(ge=1, le=MOST_LAYERS)] = 2
     check_steps: Count = 5000
     averaging: Ratio = 0.999
+    chunk_mode: ChunkMode = "joint_delta"
+    demonstrated: Literal["", "joint_delta", "joint_position", "tcp_delta"] = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -208,8 +213,8 @@ class TaskSettings:
         agents: Networks of PPO and SAC from scratch, unless others are asked for; imitation: "joint".
         ppo: Settings of PPO from scratch. With a checkpoint to begin with, the general ones count.
         sac: Settings of SAC.
-        imitation: Settings of bc and dagger. ACT has its fields `unseen`, too.
-        act: Settings of act.
+        imitation: Settings of bc and dagger.
+        act: Settings of act, whose `unseen` hold, if there are any, instead of those of `imitation`.
         joint_unseen: Fields that one network for both arms does not see either in imitation. A goal that the expert
             does not follow is no help, and what its own motion has led to misleads it.
         checks: Number of episodes of each progress check of imitation. For PPO and SAC it is the default.
@@ -281,6 +286,12 @@ _HANDOVER_UNSEEN: Final = (
     "role",
     "progress",
 )
+
+
+def _without_commanded(unseen: tuple[str, ...]) -> tuple[str, ...]:
+    """Return fields that are unseen, without commanded joints and fingers, on which a chunk of joints depends."""
+    return tuple(name for name in unseen if name not in ("commanded_q_rad", "gripper_m"))
+
 
 # One network for each arm, which sees the step of its tool to its goal, and the fingers.
 _TO_GOALS: Final = Reinforcement(
@@ -360,6 +371,7 @@ HANDOVER: Final = TaskSettings(
     ),
     # It sees the commanded positions, the fingers, the block, its goal and the role.
     imitation=Imitation(unseen=(*_MOTION_FIELDS, "progress")),
+    act=ActSettings(demonstrated="tcp_delta", unseen=_without_commanded(_HANDOVER_UNSEEN)),
     joint_unseen=_GOALS,
     # Rounds differ by a few percent, which 32 episodes do not tell.
     checks=128,
@@ -393,6 +405,7 @@ def _led(props: tuple[str, ...], *further: str) -> TaskSettings:
             _TO_GOALS, episode_steps=500, batch_size=4096, epochs=10, last_std=0.05, unseen=(*arm, *poses, *further)
         ),
         imitation=Imitation(fit_steps=4000, unseen=(*arm, *poses, *further)),
+        act=ActSettings(demonstrated="tcp_delta", unseen=_without_commanded((*arm, *poses, *further))),
         checks=96,
     )
 
@@ -465,6 +478,12 @@ class Training(StrictJson):
     dataset: str = ""
     init: str = ""
     operator: str = ""
+
+    @property
+    def demonstrated(self) -> dict[str, Any]:
+        """Keywords of the environment in which the expert acts, or a dataset was made."""
+        mode = self.settings.demonstrated if isinstance(self.settings, ActSettings) else ""
+        return {**self.keywords, "action_mode": mode} if mode else self.keywords
 
     def __post_init__(self) -> None:
         env_id_of(self.env_id)
@@ -605,6 +624,8 @@ def defaults(
     settings: Reinforcement | Imitation | ActSettings = own.act if algorithm == "act" else own.imitation
     if algorithm in IMITATION:
         unseen = (*own.imitation.unseen, *(own.joint_unseen if agents == "joint" else ()))
+        if algorithm == "act":
+            unseen = own.act.unseen or unseen
         settings = dataclasses.replace(settings, unseen=unseen)
     if algorithm not in IMITATION:
         # A checkpoint to begin with has a network of imitation's size, which is also the general one.
@@ -619,6 +640,8 @@ def defaults(
             raise SettingsError("randomization is set twice: by its option and by a keyword")
         asked["randomization"] = randomization
     usual = {**own.keywords, "randomization": own.randomization, "action_latency_ticks": LATENCY_TICKS}
+    if own.act.demonstrated and algorithm == "act":
+        usual.pop("action_mode", None)  # it is that of the demonstrations
     given = {**(usual if algorithm in IMITATION or init else own.from_scratch), **asked}
     view_of(env_id, given)  # refuses keywords that make no environment before anything is made
     gathered = "bc" if algorithm == "act" else algorithm

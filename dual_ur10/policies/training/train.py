@@ -63,7 +63,7 @@ def train(
     if training.init:
         initial_policy(training, view)
     if training.dataset:
-        read_dataset(training.dataset, view)
+        read_dataset(training.dataset, view_of(training.env_id, training.demonstrated))
     with _met(training, meet) as person, closing(TrainingFolder.create(out, training)) as folder:
         return _run(folder, None, on_progress, threads, person)
 

@@ -332,6 +332,17 @@ class ServojAdapter:
         self._step()
         return Command(self.targets_rad, self._widths.copy() if self.gripper else None)
 
+    def goals(self, action: Array) -> Array:
+        """Return the joint positions, (n, 2, 6), that actions ask for from the last command, before limits of motion.
+
+        Args:
+            action: (n, 2, action_size), not of "tcp_translation", which depends on how an episode began.
+        """
+        if self._cartesian:
+            return self._tcp_goal(action[..., :6])
+        joints: Array = np.clip(action, *self.action_bounds)[..., :6]
+        return self._commanded + joints * self.joint_step_rad.reshape(2, 6) if self.mode == "joint_delta" else joints
+
     def _tcp_goal(self, action: Array) -> Array:
         """Return joint goals, (n, 2, 6), of Cartesian steps."""
         now = self.commanded_q_rad

@@ -25,6 +25,7 @@ def act_parts(env_id: str, **keywords: Any) -> tuple[list[Any], Manifest]:
         n_heads=3,
         dim_feedforward=20,
         n_encoder_layers=2,
+        action_mode="joint_position",
     )
     tensors = {name: (rng.normal(size=size) / 2).astype(np.float32) for name, size in shape.tensors.items()}
     sizes = (shape.action, shape.environment_state, shape.action)

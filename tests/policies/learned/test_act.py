@@ -138,6 +138,7 @@ def test_another_environment_is_refused(saved: Path) -> None:
         ({"environment_state": 4000}, "the network is of observations and actions of"),
         ({"dim_model": "12"}, "dim_model is '12'"),
         ({"more": 1}, "more is unknown"),
+        ({"action_mode": "tcp_delta"}, "action_mode is .tcp_delta"),
         ({"n_encoder_layers": 1}, "holds .* expected are"),
         ({"dim_feedforward": 21}, "expected is F32 of"),
     ],
@@ -169,4 +170,4 @@ def test_changed_weights_are_refused(saved: Path) -> None:
 
 def test_shapes_of_this_size_fit() -> None:
     """LeRobot's smallest useful sizes are far below the bound."""
-    assert ActShape(tuple(range(14)), 130, 25, 128, 8, 512, 2).parameters < 800_000
+    assert ActShape(tuple(range(14)), 130, 25, 128, 8, 512, 2, "joint_delta").parameters < 800_000

@@ -25,6 +25,7 @@ from dual_ur10.policies.training.gather import Samples
 from dual_ur10.policies.training.settings import ActSettings, defaults
 from dual_ur10.policies.training.train import resume, train
 from tests.policies.training.small import small
+from ur_core.kinematics.forward import flange_pose
 
 SINE = "DualUR10/SineTracking-v0"
 
@@ -96,8 +97,9 @@ def test_a_state_of_another_network_is_refused(whole: Path, tmp_path: Path) -> N
         resume(folder)
 
 
-def test_chunks_are_of_one_episode_and_what_is_commanded(tmp_path: Path) -> None:
-    folder = TrainingFolder.create(tmp_path / "out", small("act"))
+@pytest.mark.parametrize("chunk_mode", ["joint_delta", "joint_position"])
+def test_chunks_are_of_one_episode_and_what_is_commanded(tmp_path: Path, chunk_mode: str) -> None:
+    folder = TrainingFolder.create(tmp_path / "out", small("act", changes={"chunk_mode": chunk_mode}))
     learner = ActImitator(None, folder)
     folder.close()
     shape, rng = learner._shape, np.random.default_rng(0)
@@ -110,8 +112,28 @@ def test_chunks_are_of_one_episode_and_what_is_commanded(tmp_path: Path) -> None
     assert chunks.left.tolist() == [2, 1, 3, 2, 1] * 2
     assert chunks.observation.tobytes() == observation[order * 2].tobytes()
     step = np.tile(learner._view.signature.actions.joint_step_rad, 2)
-    expected = observation[:, list(shape.state)] + step * action
-    np.testing.assert_allclose(chunks.position, expected[order * 2], atol=1e-6)
+    expected = action if chunk_mode == "joint_delta" else observation[:, list(shape.state)] + step * action
+    np.testing.assert_allclose(chunks.action, expected[order * 2], atol=1e-5)
+
+
+def test_steps_of_tools_are_learned_as_those_of_joints(tmp_path: Path) -> None:
+    asked = defaults("Handover", "act", envs=2)
+    assert (asked.demonstrated["action_mode"], "action_mode" in asked.keywords) == ("tcp_delta", False)
+    folder = TrainingFolder.create(tmp_path / "out", asked)
+    learner = ActImitator(None, folder)
+    folder.close()
+    env = policies.make("zero", "Handover", action_mode="tcp_delta")[0]
+    observation = env.reset(seed=0)[0][None].astype(np.float32)
+    env.close()
+    action = np.array([[0.5, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, -0.4, 0.0, 0.0, 0.0, 0.5]], dtype=np.float32)
+    labels = learner._labels(Samples(observation, action, np.zeros(1, dtype=np.int64))).reshape(2, 7)
+    assert labels[:, 6].tolist() == [0.0, 0.75]
+    before = observation[0, list(learner._shape.state)].reshape(2, 7)[:, :6].astype(float)
+    after = before + learner._view.setup.make_adapter().joint_step_rad.reshape(2, 6) * labels[:, :6]
+    for arm, length_m in enumerate((0.5 * 0.25 * 0.04, 0.4 * 0.25 * 0.04)):
+        dh = learner._view.setup.config.left.dh
+        moved = flange_pose(after[arm], dh)[0] - flange_pose(before[arm], dh)[0]
+        assert np.linalg.norm(moved) == pytest.approx(length_m, rel=1e-3)
 
 
 def test_a_transformer_learns_chunks_and_ignores_what_is_behind_an_end() -> None:
@@ -120,11 +142,11 @@ def test_a_transformer_learns_chunks_and_ignores_what_is_behind_an_end() -> None
     slope = np.repeat(rng.uniform(-1, 1, 100), 10).astype(np.float32)
     time = np.tile(np.arange(10, dtype=np.float32), 100)
     observation = np.stack([slope, time, rng.normal(size=1000)], axis=1).astype(np.float32)
-    position = (slope * (time + 1))[:, None]
+    action = (slope * (time + 1))[:, None]
     left = (10 - time).astype(np.int64)
-    shape = ActShape((0,), 3, size, 16, 2, 32, 1)
+    shape = ActShape((0,), 3, size, 16, 2, 32, 1, "joint_delta")
     settings = ActSettings(learning_rate=1e-2, batch_size=64, fit_steps=800, averaging=0.9)
-    fit = ActFit(settings, shape, Chunks(observation, position, left), [2], seed=0)
+    fit = ActFit(settings, shape, Chunks(observation, action, left), [2], seed=0)
     fit(settings.fit_steps)
     network, (state_norm, seen_norm, action_norm) = ActNetwork(shape, fit.tensors()), fit.normalisers
     for given, at in ((0.5, 3.0), (-0.8, 6.0)):

@@ -35,12 +35,16 @@ def test_every_task_has_settings_for_every_algorithm(env_id, algorithm):
     own = task_settings(env_id)
     assert asked.steps == {**GENERAL_STEPS, **own.steps}["bc" if algorithm == "act" else algorithm]
     shown = {"randomization": own.randomization, "action_latency_ticks": 5, **own.keywords}
+    if algorithm == "act" and own.act.demonstrated:
+        assert asked.demonstrated == {**shown, "action_mode": own.act.demonstrated}
+        shown.pop("action_mode", None)
     assert asked.keywords == (shown if algorithm in IMITATION else own.from_scratch)
     assert asked.agents == ("joint" if algorithm in IMITATION else own.agents)
     kinds = {"ppo": Reinforcement, "sac": Reinforcement, "act": ActSettings}
     assert type(asked.settings) is kinds.get(algorithm, Imitation)
     if algorithm in IMITATION:
-        assert asked.settings.unseen == (*own.imitation.unseen, *own.joint_unseen)
+        usual = (*own.imitation.unseen, *own.joint_unseen)
+        assert asked.settings.unseen == ((own.act.unseen or usual) if algorithm == "act" else usual)
     assert (asked.envs, asked.checks) == ((own.envs, own.checks) if algorithm in IMITATION else (64, 32))
 
 

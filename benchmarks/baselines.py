@@ -1,4 +1,4 @@
-"""Baselines of all tasks: script, DAgger, behaviour cloning and PPO on nominal, mild and wide plants.
+"""Baselines of all tasks: script, DAgger, behaviour cloning, ACT and PPO on nominal, mild and wide plants.
 
 Seeds are 0, 1, ...; trainings learn from others. Results are written after every part, so that the command can be
 stopped and continues where it was; a result of an older script or checkpoint is not measured again unless its entry is
@@ -11,6 +11,7 @@ Learners:
     script: the scripted policy.
     dagger: the learned policy that comes with the package; none where none comes.
     bc: behaviour cloning of 50 episodes of the script under noise, with the general settings of `train`.
+    act: ACT of 50 episodes of the script under noise, with the settings of `train`.
     ppo: Stable-Baselines3's PPO with the settings of `examples/train_with_sb3.py`, 200,000 steps on tasks with objects.
 """
 
@@ -26,6 +27,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -66,10 +68,10 @@ def dagger(env_id: str, folder: Path) -> Policy | None:
     return str(path), latency, {"steps": manifest.training["steps"], "seed": manifest.seed}
 
 
-def bc(env_id: str, folder: Path) -> Policy | None:
-    """Clone 50 demonstrations of the script, unless that has been done."""
-    asked = defaults(env_id, "bc", envs=DEMONSTRATIONS, changes={"demonstrations": DEMONSTRATIONS})
-    path = folder / "bc"
+def cloned(algorithm: str, env_id: str, folder: Path) -> Policy | None:
+    """Imitate 50 demonstrations of the script, unless that has been done."""
+    asked = defaults(env_id, algorithm, envs=DEMONSTRATIONS, changes={"demonstrations": DEMONSTRATIONS})
+    path = folder / algorithm
     if not (path / "policy").exists():
         resume(path) if path.exists() else train(asked, path)
     values = state.load(path / "state")[1]
@@ -93,7 +95,13 @@ def ppo(env_id: str, folder: Path) -> Policy | None:
     return str(path), keywords, found | json.loads((folder / "ppo.json").read_text())
 
 
-LEARNERS: dict[str, Callable[[str, Path], Policy | None]] = {"script": script, "dagger": dagger, "bc": bc, "ppo": ppo}
+LEARNERS: dict[str, Callable[[str, Path], Policy | None]] = {
+    "script": script,
+    "dagger": dagger,
+    "bc": partial(cloned, "bc"),
+    "act": partial(cloned, "act"),
+    "ppo": ppo,
+}
 
 
 def commit() -> str:

@@ -25,6 +25,9 @@ Parts:
         progress checks. Only where it is named.
     from_demonstrations: behaviour cloning of 20 episodes of the scripted policy under noise, evaluated in the
         environment of the training; only where it is named. Steps are those of the demonstrations.
+    act: ACT of 50 episodes of the scripted policy under noise, evaluated in the environment of the training, with
+        "mild" plants; Handover alone unless tasks are named; only where it is named. Minutes grow with the load of
+        the machine.
     ladder: stock learners on rungs from one arm that lifts to whole tasks, `ladder.py`; only where it is named, and
         then alone. It has a JSON form of its own.
 """
@@ -42,7 +45,7 @@ import tempfile
 import time
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -55,11 +58,11 @@ from dual_ur10.policies.learned.checkpoint import read_manifest
 from dual_ur10.policies.registry import names_for, shipped_folder, shipped_names
 from dual_ur10.policies.training import state
 from dual_ur10.policies.training.settings import defaults, task_settings
-from dual_ur10.policies.training.train import train
+from dual_ur10.policies.training.train import resume, train
 
 sys.path.append(str(Path(__file__).parents[1] / "examples"))
 
-PARTS = ("shipped", "range", "wide", "cell", "from_scratch", "stock", "from_demonstrations", "ladder")
+PARTS = ("shipped", "range", "wide", "cell", "from_scratch", "stock", "from_demonstrations", "act", "ladder")
 STOCK: dict[str, dict[str, Any]] = {
     "snippet": {"algorithm": "PPO"},
     "stock_ppo": {"algorithm": "PPO", "steps": 500_000, "settings": {}, "number": 1},
@@ -72,6 +75,8 @@ DEMONSTRATIONS: dict[str, dict[str, Any]] = {
     "DualUR10/SyncCarry-v0": {"steps": 17_000},
 }
 """Trainings of the part from_demonstrations; with these steps 20 episodes fit."""
+ACT_TASKS: Final = ("Handover",)
+"""Tasks of the part act, unless others are named."""
 CELL_RANGES: dict[str, dict[str, Any]] = {
     "DualUR10/SineTracking-v0": {"random_path": True},
     "DualUR10/Handover-v0": {"object_range_m": 0.03, "object_turn_rad": math.pi / 4},
@@ -99,6 +104,7 @@ def main() -> None:
     parser.add_argument("--plot", type=Path, help="draw the curves of the part from_scratch to this PNG file")
     parser.add_argument("--tasks", default="", help="names, with commas between them; all without")
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--act", type=Path, help="folder of the training of the part act, which goes on if it exists")
     further = parser.add_argument_group("part ladder")
     further.add_argument("--trials", type=Path, help="folder of the trials, which go on where they were ended")
     further.add_argument("--rungs", nargs="+", help="names of `ladder.RUNGS`; without, the ladder")
@@ -140,6 +146,8 @@ def main() -> None:
             results.setdefault(task, {}).update(stock(env_id, args.episodes, args.seeds, args.learners))
         if "from_demonstrations" in args.parts and env_id in DEMONSTRATIONS:
             results.setdefault(task, {})["from_demonstrations"] = from_demonstrations(env_id, args.episodes)
+        if "act" in args.parts and (args.tasks or task.rsplit("-v", 1)[0] in ACT_TASKS):
+            results.setdefault(task, {})["act"] = act(env_id, args.episodes, args.act)
     if args.json is not None:
         args.json.write_text(json.dumps(results, indent=1) + "\n")
 
@@ -285,6 +293,20 @@ def from_demonstrations(env_id: str, episodes: int) -> dict[str, Any]:
         steps = state.load(path / "state")[1]["steps"]
     row = {"success": found.success_rate, "minutes": minutes, "steps": steps}
     print(f"{env_id}, from 20 demonstrations: {json.dumps(row)}", flush=True)
+    return row
+
+
+def act(env_id: str, episodes: int, folder: Path | None) -> dict[str, Any]:
+    """Train ACT, evaluate it, print the row and return it."""
+    with tempfile.TemporaryDirectory() as temporary:
+        path = folder or Path(temporary) / "training"
+        asked = defaults(env_id, "act", randomization="mild")
+        if not (path / "policy").exists():
+            resume(path) if path.exists() else train(asked, path)
+        found = evaluate(env_id, str(path / "policy"), episodes=episodes, num_envs=64, env_kwargs=asked.keywords)
+        minutes = state.load(path / "state")[1]["seconds"] / 60
+    row = {"successes": found.successes, "episodes": episodes, "minutes": minutes}
+    print(f"{env_id}, ACT: {json.dumps(row)}, {found.stage_scores}", flush=True)
     return row
 
 

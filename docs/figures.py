@@ -125,7 +125,7 @@ def stages(axis: Any, rows: Rows) -> None:
     axis.grid(alpha=0.3)
 
 
-LEARNERS = {"script": "#616161", "dagger": OURS, "bc": "#ef6c00", "ppo": BAD}
+LEARNERS = {"script": "#616161", "dagger": OURS, "bc": "#ef6c00", "act": "#00838f", "ppo": BAD}
 """Colours of the learners of the baselines."""
 
 
@@ -138,7 +138,7 @@ def baselines(axis: Any, rows: Rows) -> None:
                 continue
             k, n = each[learner]["mild"]
             low, high = interval(k, n)
-            y = height + 0.27 - 0.18 * number
+            y = height + 0.3 - 0.15 * number
             label = {} if learner in shown else {"label": learner}
             axis.errorbar(
                 100 * k / n,
@@ -152,7 +152,7 @@ def baselines(axis: Any, rows: Rows) -> None:
             shown.add(learner)
     axis.set_xlim(-3, 103)
     axis.set_xlabel("success, %, on mild plants")
-    axis.legend(frameon=False, fontsize=9.5, ncols=4, loc="lower left", bbox_to_anchor=(0.0, 1.0))
+    axis.legend(frameon=False, fontsize=9.5, ncols=5, loc="lower left", bbox_to_anchor=(0.0, 1.0))
 
 
 class Diagram(NamedTuple):

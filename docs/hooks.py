@@ -88,6 +88,7 @@ LEARNERS = {
     "script": "`scripted`",
     "dagger": "`learned`, by DAgger",
     "bc": "cloning of {demonstrations} episodes",
+    "act": "ACT from {demonstrations} episodes",
     "ppo": "stock PPO",
 }
 """Policies of the baselines, by the names of `benchmarks/baselines.py`."""

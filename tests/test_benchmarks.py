@@ -75,6 +75,23 @@ def test_demonstrations_are_imitated_and_evaluated(monkeypatch):
     assert 0.0 <= found["success"] <= 1.0
 
 
+def test_act_is_trained_once_and_evaluated(monkeypatch, tmp_path):
+    pytest.importorskip("torch")
+    monkeypatch.syspath_prepend(FOLDER)
+    learning = importlib.import_module("learning")
+    changes = {"demonstrations": 2, "fit_steps": 20, "check_steps": 20, "dim_model": 8}
+    short = {"envs": 2, "keywords": {"duration_s": 0.4}, "changes": changes}
+    monkeypatch.setattr(learning, "defaults", lambda *given, **asked: defaults(*given, **asked, **short))
+    command = ["", "--parts", "act", "--tasks", "SineTracking", "--episodes", "2", "--act", str(tmp_path / "act")]
+    results = []
+    for number in range(2):
+        monkeypatch.setattr("sys.argv", [*command, "--json", str(tmp_path / f"{number}.json")])
+        learning.main()
+        results.append(json.loads((tmp_path / f"{number}.json").read_text())["SineTracking-v0"]["act"])
+    assert results[0] == results[1]
+    assert results[0].keys() == {"successes", "episodes", "minutes"}
+
+
 def test_stock_learners_are_measured(monkeypatch):
     pytest.importorskip("stable_baselines3")
     monkeypatch.syspath_prepend(FOLDER)
@@ -125,23 +142,24 @@ def test_baselines_are_measured_and_continued(monkeypatch, tmp_path):
         seeds.append(seed)
         return evaluate(env_id, policy, seed=seed, env_kwargs={**env_kwargs, "duration_s": 0.4}, **keywords)
 
-    def asked(*given, changes, **keywords):
-        changes = {**changes, "fit_steps": 20, "hidden": (8,)}
-        return defaults(*given, changes=changes, keywords={"duration_s": 0.4}, **keywords)
+    def asked(env_id, algorithm, *, changes, **keywords):
+        small = {"hidden": (8,)} if algorithm == "bc" else {"dim_model": 8, "check_steps": 20}
+        changes = {**changes, "fit_steps": 20, **small}
+        return defaults(env_id, algorithm, changes=changes, keywords={"duration_s": 0.4}, **keywords)
 
     monkeypatch.setattr(baselines, "evaluate", short)
     monkeypatch.setattr(baselines, "defaults", asked)
     monkeypatch.setattr(baselines, "DEMONSTRATIONS", 2)
     path = tmp_path / "baselines.json"
     for episodes in (2, 3):
-        command = ["", "--task", "SineTracking", "--learner", "script", "--learner", "bc"]
+        command = ["", "--task", "SineTracking", *(f"--learner={each}" for each in ("script", "bc", "act"))]
         command += ["--episodes", str(episodes), "--json", str(path), "--out", str(tmp_path)]
         monkeypatch.setattr("sys.argv", command)
         baselines.main()
     found = json.loads(path.read_text())["SineTracking-v0"]
-    assert [found[name][preset][1] for name in ("script", "bc") for preset in baselines.RANDOMIZATIONS] == [3] * 6
-    assert found["bc"]["demonstrations"] == 2
-    assert seeds == [0] * 6 + [2] * 6
+    assert [found[name][preset][1] for name in found for preset in baselines.RANDOMIZATIONS] == [3] * 9
+    assert [found[name]["demonstrations"] for name in ("bc", "act")] == [2, 2]
+    assert seeds == [0] * 9 + [2] * 9
 
 
 def test_an_export_is_measured(monkeypatch):

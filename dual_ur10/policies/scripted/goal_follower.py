@@ -8,12 +8,13 @@ import numpy as np
 
 from dual_ur10.assets.settings import DEFAULT_TOOLS
 from dual_ur10.envs.tasks.task import Task, Timing
-from dual_ur10.errors import UnknownNameError
+from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.sim2real.control.adapter import TCP_ROTATION_RAD_S, TCP_STEP_M_S, ActionScale, scale_of_steps
 from ur_core.tools.tool import Tool, strokes_m
 from ur_core.types import Array, changed
 
 _MODES: Final = ("tcp_delta", "tcp_translation")
+_STEPS: Final = ("goal_step_m", "goal_rotation")
 _RATIO: Final = 0.3  # of the step that is left, in each period
 
 
@@ -34,6 +35,7 @@ class GoalFollower:
 
     Raises:
         UnknownNameError: Another action mode.
+        SettingsError: The task observes no goals.
     """
 
     def __init__(
@@ -54,6 +56,12 @@ class GoalFollower:
         given: Any = task.settings_type() if settings is None else settings
         self._task, self._settings, self._rate_hz = task, given, 1.0 / timing.period_s
         self._layout, self._mode = task.layout_for(given), action_mode
+        lacking = [name for name in _STEPS if name not in self._layout.names]
+        if lacking:
+            raise SettingsError(
+                f"{task.__name__} observes no {' and no '.join(lacking)}, which the goal follower follows: add "
+                "GOAL_FIELDS of `dual_ur10.envs.tasks.goal_fields` to its `layout`, and use observation='state'"
+            )
         most = np.repeat([TCP_STEP_M_S, TCP_ROTATION_RAD_S], 3) * timing.period_s
         self._most = most * scale_of_steps(action_mode, action_scale)
 
@@ -71,7 +79,7 @@ class GoalFollower:
             ActionError: Not an observation of the task.
         """
         fields = self._layout.split(self._layout.batch(observation, self._task.__name__))
-        step = np.concatenate([fields["goal_step_m"], fields["goal_rotation"]], axis=-1)
+        step = np.concatenate([fields[name] for name in _STEPS], axis=-1)
         action = np.clip(_RATIO * step / self._most, -1.0, 1.0)[..., : self._steps]
         if "goal_opening" in fields:
             opening = fields["goal_opening"]

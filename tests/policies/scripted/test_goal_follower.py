@@ -8,8 +8,9 @@ import pytest
 
 from dual_ur10 import policies
 from dual_ur10.envs.core.core import Core
+from dual_ur10.envs.tasks.free.task import Free
 from dual_ur10.envs.tasks.handover.task import Handover
-from dual_ur10.errors import ActionError, UnknownNameError
+from dual_ur10.errors import ActionError, SettingsError, UnknownNameError
 from dual_ur10.policies.policy import Policy
 from dual_ur10.policies.scripted.goal_follower import GoalFollower
 from tests.soak import SOAK, scaled
@@ -72,3 +73,8 @@ def test_actions_have_the_shape_of_the_observations_and_no_memory():
 def test_another_action_mode_is_refused():
     with pytest.raises(UnknownNameError, match="joint_delta"):
         GoalFollower(Handover, Core("Handover", MODE).timing, "joint_delta")
+
+
+def test_a_task_without_goals_is_refused():
+    with pytest.raises(SettingsError, match="Free observes no goal_step_m and no goal_rotation"):
+        GoalFollower(Free, Core("Free", MODE).timing)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 from collections.abc import Iterator
@@ -17,6 +18,7 @@ from dual_ur10.errors import DatasetError, MissingExtraError
 from dual_ur10.lerobot.dataset_writer import OWN
 from dual_ur10.lerobot.features import ACTION, DEFAULTS, DatasetFeature
 from dual_ur10.lerobot.image_video import check_video
+from dual_ur10.lerobot.parquet_pages import check_sizes
 from ur_core.files import read_named
 
 try:
@@ -31,6 +33,7 @@ VERSIONS: Final = ("v3.", "v2.1")
 MOST_BYTES: Final = 8 * 2**30
 """Largest size of the tables of a dataset, unpacked."""
 
+_VALUE_BYTES: Final = 8  # of the largest kind
 _MOST_JSON: Final = 64 * 2**20
 _MOST_FEATURES: Final = 1000
 _TIME_S: Final = 1e-3  # largest distance of a frame from the grid
@@ -173,24 +176,34 @@ def _columns(folder: Path, features: dict[str, DatasetFeature]) -> dict[str, NDA
     parts: dict[str, list[NDArray[Any]]] = {name: [] for name in wanted}
     size = 0
     for path in files:
-        try:
-            with pq.ParquetFile(path) as file:
-                size += sum(file.metadata.row_group(k).total_byte_size for k in range(file.metadata.num_row_groups))
-                if size > MOST_BYTES:
-                    raise DatasetError(
-                        f"{folder} has more than {MOST_BYTES} bytes of tables: take some of its episodes"
-                    )
-                missing = [name for name in wanted if name not in file.schema_arrow.names]
-                if missing:
-                    raise DatasetError(f"{path} has no column {missing[0]!r}, which meta/info.json states")
-                table = file.read(columns=[*wanted])
-        except (OSError, ValueError, pa.ArrowException) as error:
-            if isinstance(error, DatasetError):
-                raise
-            raise DatasetError(f"cannot read {path}: {error!s:.200}. Copy it again") from error
+        table, more = _table(path, {name: each.size for name, each in wanted.items()}, MOST_BYTES - size)
+        size += more
         for name, feature in wanted.items():
             parts[name].append(_values(table.column(name), feature, f"{path}, {name}"))
     return {name: np.concatenate(each) for name, each in parts.items()}
+
+
+def _table(path: Path, sizes: dict[str, int], most_bytes: int) -> tuple[Any, int]:
+    """Return the columns of a Parquet file with so many values in each row, and their bytes.
+
+    Raises:
+        DatasetError: The file cannot be read, lacks a column, has other sizes, or more bytes than it may have.
+    """
+    try:
+        with pq.ParquetFile(path) as file:
+            missing = [name for name in sizes if name not in file.schema_arrow.names]
+            if missing:
+                raise DatasetError(f"{path} has no column {missing[0]!r}, which meta/info.json states")
+            size = _VALUE_BYTES * check_sizes(path, file.metadata, sizes)
+            if size > most_bytes:
+                raise DatasetError(
+                    f"{path}: the dataset has more than {MOST_BYTES} bytes of tables: take some of its episodes"
+                )
+            return file.read(columns=[*sizes]), size
+    except (OSError, ValueError, KeyError, pa.ArrowException) as error:
+        if isinstance(error, DatasetError):
+            raise
+        raise DatasetError(f"cannot read {path}: {error!s:.200}. Copy it again") from error
 
 
 def _number_of(path: Path) -> list[int]:
@@ -273,12 +286,9 @@ def _videos(folder: Path, info: _DatasetInfo, key: str, lengths: list[int]) -> I
     frames: dict[Path, int] = {}
     row = 0
     for path in sorted(folder.glob("meta/episodes/chunk-*/*.parquet"), key=_number_of):
-        try:
-            table = pq.read_table(path, columns=names, partitioning=None)
-            pairs = list(zip(*(table.column(name).to_pylist() for name in names), strict=True))
-        except (OSError, ValueError, KeyError, pa.ArrowException) as error:
-            raise DatasetError(f"cannot read {path}: {error!s:.200}. Copy it again") from error
-        for chunk, file in pairs[: len(lengths) - row]:
+        table, _ = _table(path, dict.fromkeys(names, 1), MOST_BYTES)
+        pairs = zip(*(table.column(name).to_numpy() for name in names), strict=True)
+        for chunk, file in itertools.islice(pairs, len(lengths) - row):
             video = folder / f"videos/{key}/chunk-{int(chunk):03d}/file-{int(file):03d}.mp4"
             frames[video] = frames.get(video, 0) + lengths[row]
             row += 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import shutil
 
@@ -13,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dual_ur10.errors import DatasetError, DualUR10Error, RecordingError
+from dual_ur10.lerobot import dataset_reader, parquet_pages
 from dual_ur10.lerobot.dataset_reader import read_dataset
 from dual_ur10.lerobot.dataset_writer import DatasetWriter
 from dual_ur10.lerobot.resimulation import JointColumns, follow_motions, joints_in, simulate_again
@@ -137,6 +139,65 @@ def test_a_dataset_that_is_not_as_it_states_is_refused(made, tmp_path, change, m
     change(tmp_path / "dataset")
     with pytest.raises(DatasetError, match=message):
         read_dataset(tmp_path / "dataset")
+
+
+def varint(number, size=0):
+    """A number without a sign in Thrift's compact protocol, of at least so many bytes."""
+    found = bytearray()
+    while number or len(found) < size or not found:
+        found.append(number & 127 | 128)
+        number >>= 7
+    found[-1] &= 127
+    return bytes(found)
+
+
+@pytest.mark.parametrize("lies", [False, True], ids=["honest", "lying"])
+def test_a_small_file_of_many_values_is_refused_before_it_is_unpacked(made, tmp_path, lies):
+    """Equal values take no space. The footer may state fewer of them than a page holds: Arrow unpacks the page."""
+    shutil.copytree(made[1], tmp_path / "dataset")
+    path = table_of(tmp_path / "dataset")
+    table, count = pq.read_table(path), 3_000_000
+    size = len(table["action"][0])
+    rows = [np.zeros(count), *np.zeros((len(table) - 1, size))]
+    column = pa.array(rows, pa.list_(pa.float32()))
+    bomb = table.set_column(table.column_names.index("action"), "action", column)
+    pq.write_table(bomb, path, compression="zstd", write_statistics=False)
+    total = count + (len(table) - 1) * size
+    if lies:
+        data, stated = path.read_bytes(), varint(2 * total)
+        at = data.index(stated, len(data) - 8 - int.from_bytes(data[-8:-4], "little"))  # in the footer
+        lie = varint(2 * len(table) * size, len(stated))
+        path.write_bytes(data[:at] + lie + data[at + len(stated) :])
+        assert pq.read_table(path)["action"].nbytes >= 4 * count
+    assert path.stat().st_size < 2**16
+    pool = pa.proxy_memory_pool(before := pa.default_memory_pool())
+    pa.set_memory_pool(pool)
+    try:
+        with pytest.raises(DatasetError, match="action: the file is damaged, or not as it states: 14 rows"):
+            read_dataset(tmp_path / "dataset")
+    finally:
+        pa.set_memory_pool(before)
+    assert pool.max_memory() < count
+
+
+def test_values_are_counted_before_they_are_unpacked(made, monkeypatch):
+    monkeypatch.setattr(dataset_reader, "MOST_BYTES", 1000)
+    with pytest.raises(DatasetError, match="the dataset has more than 1000 bytes of tables"):
+        read_dataset(made[1])
+
+
+@given(data=st.data())
+def test_damaged_pages_are_refused_by_name(data, tmp_path_factory, made):
+    path = tmp_path_factory.getbasetemp() / "damaged.parquet"
+    whole = bytearray(table_of(made[1]).read_bytes())
+    metadata = pq.read_metadata(table_of(made[1]))
+    first = metadata.row_group(0).column(0)
+    for _ in range(data.draw(st.integers(1, 4))):
+        whole[first.data_page_offset + data.draw(st.integers(0, 40))] = data.draw(st.integers(0, 255))
+    path.write_bytes(whole)
+    sizes = {first.path_in_schema.partition(".")[0]: first.num_values // metadata.num_rows}
+    with contextlib.suppress(DatasetError):
+        assert parquet_pages.check_sizes(path, metadata, sizes) == first.num_values
 
 
 VALUES = st.recursive(

@@ -133,6 +133,7 @@ class SceneSettings:
         table_size_m: (2,) length along x and width along y.
         equipment: Grippers, and the props to handle.
         obstacles: Further bodies: [obstacles][dual_ur10.assets.obstacles], with different names.
+        cameras: Cameras of the cell by their names, each in place of the one of that name or a further one.
 
     Raises:
         SettingsError: A number is not finite or out of range, obstacles have the same name, the bases stand closer than
@@ -150,6 +151,7 @@ class SceneSettings:
     table_size_m: tuple[float, float] = (1.0, 1.8)
     equipment: Equipment = Equipment()
     obstacles: tuple[Obstacle, ...] = ()
+    cameras: tuple[tuple[str, Camera], ...] = ()
 
     def __post_init__(self) -> None:
         (timestep,) = finite_floats("timestep_s", (self.timestep_s,), 1)

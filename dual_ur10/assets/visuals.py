@@ -46,7 +46,7 @@ class PlacedCamera(NamedTuple):
 
 
 def placed_cameras(settings: SceneSettings) -> tuple[PlacedCamera, ...]:
-    """Return all cameras: fixed ones, with grippers those of the tools, those of props, and the scene's.
+    """Return all cameras: fixed ones, with grippers those of the tools, those of props, the scene's, and the cell's.
 
     Raises:
         SettingsError: Two have one name.
@@ -64,7 +64,9 @@ def placed_cameras(settings: SceneSettings) -> tuple[PlacedCamera, ...]:
     for name in names:
         if names.count(name) > 1:
             raise SettingsError(f"two cameras of the cell are named {name!r}: every scene has {', '.join(CAMERAS)}")
-    return tuple(found)
+    placed = {each.name: each for each in found}
+    placed |= {name: PlacedCamera(name, each.body, each) for name, each in settings.cameras}
+    return tuple(placed.values())
 
 
 def cameras(settings: SceneSettings) -> tuple[str, ...]:

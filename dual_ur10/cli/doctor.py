@@ -28,7 +28,7 @@ from dual_ur10.cli.options import (
 )
 from dual_ur10.cli.session import on_virtual, power_on
 from dual_ur10.errors import SettingsError
-from dual_ur10.sim2real.cell_file.cell_file import load_cell_file
+from dual_ur10.sim2real.cell_file.cell_file import CellFile, load_cell_file
 from ur_core.kinematics.ur10 import ARMS, Family
 
 if TYPE_CHECKING:
@@ -48,6 +48,10 @@ def doctor(
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the checks as an array of JSON, and no table.")
     ] = False,
+    pictures: Annotated[
+        Path | None,
+        typer.Option("--pictures", metavar="FOLDER", help="Folder for a picture of each camera of the cell file."),
+    ] = None,
 ) -> None:
     """Check this machine and two UR controllers, and report problems with their remedies. Exit code 1 if a check fails.
 
@@ -59,7 +63,8 @@ def doctor(
 
     findings = [mujoco_finding()]
     if cell is not None and left is None and right is None:
-        findings += check_file(load_cell_file(cell))
+        file = load_cell_file(cell)
+        findings += [*check_file(file), *_cameras(file, pictures)]
     elif cell is None and left is not None and right is not None:
         controllers = cast(Family, family_of(family, robot))
         findings += check_cell(*(ExpectedArm(host=host, family=controllers, model=robot) for host in (left, right)))
@@ -71,6 +76,25 @@ def doctor(
         _print(findings)
     if any_fails(findings):
         raise typer.Exit(1)
+
+
+def _cameras(file: CellFile, pictures: Path | None) -> list[Finding]:
+    """Check the cameras of a cell file, and write a picture of each."""
+    from dual_ur10.sim2real.cameras.png import png
+    from dual_ur10.sim2real.commissioning.camera_check import check_cameras
+
+    if not file.camera:
+        return []
+    checked = check_cameras(file)
+    if pictures is not None:
+        try:
+            pictures.mkdir(parents=True, exist_ok=True)
+            for entry, each in zip(file.camera, checked, strict=True):
+                if each.picture is not None:
+                    (pictures / f"{entry.name.replace('/', '_')}.png").write_bytes(png(each.picture.image))
+        except OSError as error:
+            raise SettingsError(f"pictures cannot be written to {pictures}: {error}. Name another folder") from error
+    return [each.finding for each in checked]
 
 
 def _row(each: Finding) -> dict[str, str]:

@@ -47,7 +47,7 @@ class CellWorld:
     names: tuple[str, ...] = ARMS
 
     def __init__(self, config: CellConfig, task: str | None, options: PlantOptions) -> None:
-        config, start = _arms_at_home(config) if task is None else _episode(config, task, options.seed)
+        config, start = scene_of(config, task, options.seed)
         self.config = config
         self.mounts: tuple[ArmMount, ...] = (config.left, config.right)
         self.tick_s, self.substeps = config.servoj.tick_s, config.substeps
@@ -69,6 +69,8 @@ class CellWorld:
         # These views are filled at the next change of positions.
         self._torque: Array = self._physics.bind("qfrc_actuator")
         self._positions, self._orientations = self._physics.bind("xpos"), self._physics.bind("xquat")
+        self._qpos: Array = self._physics.bind("qpos")
+        self._mocap_m, self._mocap_quat = self._physics.bind("mocap_pos"), self._physics.bind("mocap_quat")
         self._physics.reset(start, np.arange(1))
         model = self._physics.model
         grippers = config.equipment.grippers
@@ -148,6 +150,10 @@ class CellWorld:
         names = [joint for each in self.config.equipment.props if each.name == prop for joint in each.joints]
         return {name: float(self._state.joints[name][0]) for name in names}
 
+    def positions(self) -> tuple[Array, Array]:
+        """See `SimulatedWorld`."""
+        return self._qpos[0], np.hstack([self._mocap_m[0].reshape(-1, 3), self._mocap_quat[0].reshape(-1, 4)])
+
     def place(self, pose: Array, prop: str = "") -> None:
         """See `SimulatedWorld`."""
         posed = [each.name for each in self.config.equipment.props if each.posed]
@@ -169,6 +175,20 @@ class CellWorld:
     def draw(self) -> tuple[Any, Any]:
         """See `SimulatedWorld`."""
         return self._physics.model_and_data(0)
+
+
+def scene_of(config: CellConfig, task: str | None, seed: int = 0) -> tuple[CellConfig, Start]:
+    """Return the cell with the scene that is simulated, and the start of the arms and props.
+
+    Args:
+        config: Nominal cell.
+        task: Id or name of the environment whose scene it is; None: nothing but the arms, at home.
+        seed: Seed of the start.
+
+    Raises:
+        UnknownNameError: There is no such environment.
+    """
+    return _arms_at_home(config) if task is None else _episode(config, task, seed)
 
 
 def _arms_at_home(config: CellConfig) -> tuple[CellConfig, Start]:

@@ -502,6 +502,9 @@ class _World:
     def joints(self, prop: str) -> dict[str, float]:
         return {}
 
+    def positions(self) -> Any:
+        return np.zeros(3), np.zeros((1, 7))
+
     def place(self, pose: Any, prop: str = "") -> None:
         assert np.isfinite(pose).all()
 
@@ -514,7 +517,7 @@ class _Cell:
     """Cell for fault injection, whose only controller stands for both and is made when it is needed."""
 
     def __init__(self) -> None:
-        self.ended, self.time_s, self.world, self._made = False, 1.0, _World(), []
+        self.ended, self.time_s, self.due_s, self.world, self._made = False, 1.0, 1.0, _World(), []
 
     def info(self) -> dict[str, Any]:
         return {}
@@ -573,6 +576,7 @@ def fault_injection(data: bytes) -> None:
     "host family base_position_m base_yaw_rad base_uncertainty_m tcp_position_m payload_kg payload_cog_m serial_number "
     "calibration checksum gripper servoj lookahead_s gain limits speed_rad_s measured latency_s [emulator] [[tracker]] "
     "[gains] kp_nm_rad kv_nms_rad "
+    '[[camera]] "v4l2" "file" "pattern" "own" device position_m target_m fovy_rad '
     '[[obstacle]] "plane" "box" "capsule" normal point_m """ nan inf 1979-05-27',
 )
 def cell_file(data: bytes) -> None:

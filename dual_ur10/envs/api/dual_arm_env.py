@@ -41,8 +41,9 @@ class DualArmEnv(gym.Env[Any, Array]):
     every later one needs `options={"move_to_start": True}` as well, unless `confirm` is given. A wrapper that resets by
     itself passes no options and is refused with `ResetRefusedError`. In simulation the option has no effect.
 
-    `info` of `reset` and `step` holds `q_rad` (2, 6) and `flange_m` (2, 3), and in a dry run (`cell="echo"`)
-    `state_is_commanded`, true, since nothing is measured there; that of `step` also the task's values,
+    `info` of `reset` and `step` holds `q_rad` (2, 6) and `flange_m` (2, 3), in a dry run (`cell="echo"`)
+    `state_is_commanded`, true, since nothing is measured there, and where cameras of two controllers are observed
+    `image_age_s/<camera>`, the time since the exposure; that of `step` also the task's values,
     `is_success` and `reward/<term>`. That of the last step holds `end_reason`: "success", "time", "refused/<limit>",
     such as "refused/distance", if the safety gate kept a limit, "physics", or a reason of the task, such as
     "bar_lost". A wrapper that truncates, such as `TimeLimit`, adds none. `safety` (a
@@ -115,7 +116,7 @@ class DualArmEnv(gym.Env[Any, Array]):
         observation = self._observer.begin(state, _ROW)
         if self.render_mode == "human":
             self.render()
-        return row_of(observation, 0), row_of(info, 0)
+        return row_of(observation, 0), row_of({**info, **self._observer.ages}, 0)
 
     def step(self, action: Array) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Advance one policy period; see `gymnasium.Env.step`.
@@ -126,7 +127,8 @@ class DualArmEnv(gym.Env[Any, Array]):
         """
         step = self.advance(action)
         observation = row_of(self._observer.advance(step.observation), 0)
-        return observation, float(step.reward[0]), bool(step.terminated[0]), bool(step.truncated[0]), info_of(step)
+        info = {**info_of(step), **row_of(self._observer.ages, 0)}
+        return observation, float(step.reward[0]), bool(step.terminated[0]), bool(step.truncated[0]), info
 
     def advance(self, action: object) -> Step:
         """Advance one policy period as `step` does, and return the core's result, which has no images."""

@@ -151,7 +151,8 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
         state, info = self.core.reset(rngs, rows, seed=seed, move_to_start=move_to_start)
         self.elapsed_steps[rows] = 0
         self._done[rows] = False
-        return self._observer.begin(state, rows), info
+        observation = self._observer.begin(state, rows)
+        return observation, {**info, **self._observer.ages}
 
     def step(  # type: ignore[override]  # Gymnasium types the flags as it types rewards
         self, actions: Array
@@ -188,6 +189,7 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
             info = _restarted(info, fresh, begun)
         else:
             observation = self._observer.advance(step.observation)
+            info.update(_masked(self._observer.ages, np.ones(self.num_envs, dtype=bool)))
         self._done = terminated | truncated
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._done.any():
             ended = self._done.copy()

@@ -74,5 +74,8 @@ def request_for(setup: EnvSetup, n: int, *, threads: int, clearance: Clearance) 
         couples=setup.task_type.couples,
         confirm=setup.options.confirm,
         only=setup.options.arm,
+        cameras=setup.options.camera_names if setup.options.pictured else (),
+        views=setup.options.own_cameras,
+        image_size=(setup.options.height, setup.options.width),
         system=setup.system,
     )

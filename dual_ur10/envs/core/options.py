@@ -219,6 +219,11 @@ class EnvOptions:
         return self.observation == "goals"
 
     @property
+    def pictured(self) -> bool:
+        """True if images are observed."""
+        return self.observation in ("pixels", "both", "flat")
+
+    @property
     def camera_names(self) -> tuple[str, ...]:
         """Names of the cameras of an observation with pixels."""
         return tuple(_name_of(each) for each in self.cameras)

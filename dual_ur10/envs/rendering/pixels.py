@@ -16,6 +16,7 @@ from dual_ur10.assets.visuals import cameras
 from dual_ur10.envs.core.core import Core
 from dual_ur10.envs.rendering.images import Canvas, Renderer
 from dual_ur10.errors import RateError, UnknownNameError
+from dual_ur10.sim2real.cell.cell import SeenImages
 from ur_core.types import Array, Rows
 
 Images = dict[str, NDArray[np.uint8]]
@@ -51,7 +52,8 @@ class _Painter:
 class Observer:
     """Observer of n cells, by the options `observation`, `cameras` and `pixels_rate_hz` of their core.
 
-    Images are drawn with the first observation, never before; with "state" they never are.
+    Images are drawn with the first observation, never before; with "state" they never are. Those of a cell of
+    controllers with cameras are the newest that its cameras took.
 
     Attributes:
         renderer: Renderer of the images and views of `render`.
@@ -74,11 +76,13 @@ class Observer:
         self.core = core
         self.renderer = Renderer(options.render_camera, options.width, options.height, options.shadows, cameras=known)
         self._every = _periods(1 / core.timing.period_s, options.pixels_rate_hz)
-        self._kind = "state" if options.concise else options.observation
+        self._kind = options.observation if options.pictured else "state"
         self._age = np.zeros(core.n, dtype=np.int64)  # periods since the episode began
         self._images: Images = {}
         self._painters: list[_Painter] = []
         self._pool: ThreadPoolExecutor | None = None  # one thread for each painter, if there are several
+        self._taken: SeenImages | None = getattr(core.cell, "images", None) if options.pictured else None
+        self._exposed_s: dict[str, float] = {}
         self.space: spaces.Space[Any] = core.observation_space
         if self._kind != "state":
             shape = (options.height, options.width, 3)
@@ -134,7 +138,20 @@ class Observer:
     def _flat(self, state: Any, images: dict[str, Any]) -> dict[str, Any]:
         return {"state": state, **images} if self._kind == "flat" else images
 
+    @property
+    def ages(self) -> dict[str, Array]:
+        """Ages of the observed images, (1,) s by `image_age_s/<camera>`; empty unless cameras of a cell took them."""
+        if self._taken is None:
+            return {}
+        now_s = self._taken.looked_s
+        return {f"image_age_s/{name}": np.array([now_s - at_s]) for name, at_s in self._exposed_s.items()}
+
     def _draw(self, rows: Rows) -> None:
+        if self._taken is not None:
+            if len(rows):
+                for camera, (image, exposed_s) in self._taken.seen.items():
+                    self._images[camera], self._exposed_s[camera] = image[None], exposed_s
+            return
         if not self._painters:
             self._begin_painting()
         if self._pool is None:

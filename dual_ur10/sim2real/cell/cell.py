@@ -21,6 +21,7 @@ from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.limits import MotionLimits
 from ur_core.kinematics.poses import Poses
+from ur_core.mjcf.camera import Camera
 from ur_core.processes.system import LOCAL, System
 from ur_core.types import Array, Rows
 
@@ -150,6 +151,30 @@ class CellStep(NamedTuple):
     trace: TickTrace | None = None
 
 
+class SeenImage(NamedTuple):
+    """Image that a camera of a cell of controllers took.
+
+    Attributes:
+        image: (height, width, 3).
+        exposed_s: Time of its exposure on the system's clock.
+    """
+
+    image: NDArray[np.uint8]
+    exposed_s: float
+
+
+class SeenImages(Protocol):
+    """Images of the cameras of a cell of controllers. Such a cell has them as its attribute `images`.
+
+    Attributes:
+        seen: Image of each observed camera at the last state, by its name.
+        looked_s: Time of that state on the system's clock.
+    """
+
+    seen: Mapping[str, SeenImage]
+    looked_s: float
+
+
 class Cell(Protocol):
     """Two arms behind one interface: simulated, emulated or real.
 
@@ -213,6 +238,9 @@ class CellRequest:
         couples: True if both arms may hold one object between them; commands state when they do.
         confirm: Called with a description before arms of controllers move to a start; None: the cell decides.
         only: "left" or "right": the only arm that moves; None: both may.
+        cameras: Names of the cameras whose images are observed.
+        views: Those of them that the program added to the scene.
+        image_size: Height and width of observed images.
         system: Clock, network and threads.
     """
 
@@ -229,4 +257,7 @@ class CellRequest:
     couples: bool = False
     confirm: Callable[[str], bool] | None = None
     only: str | None = None
+    cameras: tuple[str, ...] = ()
+    views: tuple[Camera, ...] = ()
+    image_size: tuple[int, int] = (480, 640)
     system: System = LOCAL

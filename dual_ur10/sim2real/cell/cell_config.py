@@ -24,6 +24,7 @@ from dual_ur10.sim2real.control.limits import MotionLimits, checked_tcp
 from ur_core.kinematics.frames import ArmMount
 from ur_core.kinematics.robots import MODEL_OF_FAMILY
 from ur_core.kinematics.ur10 import ARMS
+from ur_core.mjcf.camera import Camera
 from ur_core.mjcf.gains import (
     INTEGRATORS,
     MOST_UNSTABLE,
@@ -123,6 +124,8 @@ class CellConfig:
             distances with them.
         equipment: Grippers and what they handle; set by the task.
         tools: Tools of the left and the right arm, as `Tool` or by name; None: those of the task.
+        cameras: Cameras of the cell by their names in scenes, such as "left/wrist": each takes the place of the scene's
+            own of that name, or is a further one.
 
     Raises:
         RateError: The physics step does not divide the tick.
@@ -153,6 +156,7 @@ class CellConfig:
     grippers_mounted: bool = False
     equipment: Equipment = field(default_factory=Equipment)
     tools: tuple[Tool, Tool] | None = None
+    cameras: tuple[tuple[str, Camera], ...] = ()
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({changed(self)})"
@@ -283,6 +287,7 @@ class CellConfig:
             meshes=self.meshes,
             equipment=self.equipment,
             obstacles=self.obstacles,
+            cameras=self.cameras,
             **{name: value for name, value in given.items() if value is not None},  # type: ignore[arg-type]  # two types
         )
 

@@ -23,12 +23,14 @@ from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.cell.perturbation import Perturbation
 from dual_ur10.sim2real.cell_file.rules import inconsistencies
 from dual_ur10.sim2real.cell_file.tables import (
+    MAX_CAMERAS,
     MAX_OBSTACLES,
     MAX_TRACKERS,
     ZERO,
     ArmEntry,
     ArmLimits,
     BaseToBase,
+    CameraEntry,
     EmulatorEntry,
     GainsEntry,
     Kind,
@@ -93,6 +95,7 @@ class CellFile(Table):
     gains: GainsEntry | None = None
     emulator: EmulatorEntry | None = None
     tracker: tuple[Tracker, ...] = Field((), max_length=MAX_TRACKERS, description="source of an object's pose")
+    camera: tuple[CameraEntry, ...] = Field((), max_length=MAX_CAMERAS, description="source of a camera's images")
     obstacle: tuple[ObstacleEntry, ...] = Field((), max_length=MAX_OBSTACLES, description="shape of the obstacle")
 
     _source: str = PrivateAttr("the cell file")
@@ -223,6 +226,7 @@ class CellFile(Table):
                 ),
                 grippers_mounted=any(not isinstance(arm.gripper, NoGripper) for arm in self.arms),
                 file=self,
+                cameras=tuple((each.name, mounted) for each in self.camera if (mounted := each.mounted) is not None),
                 measured_lookahead_s=self._lookahead_s(),
                 tools=self._tools(),
                 gains=None if self.gains is None else Gains(self.gains.kp_nm_rad, self.gains.kv_nms_rad),

@@ -36,6 +36,11 @@ EXAMPLES: Final = """\
 # arm = "left"
 # position_m = [0.0, 0.0, 0.17]
 #
+# [[camera]]  # source of a camera's images
+# name = "front"
+# kind = "v4l2"
+# device = "/dev/video0"
+#
 # [[obstacle]]
 # name = "wall"
 # kind = "plane"

@@ -16,6 +16,7 @@ from dual_ur10.sim2real.cell_file.tables import (
     LEVEL,
     ZERO,
     ArmEntry,
+    EmulatedCameraEntry,
     EmulatedTrackerEntry,
     Kind,
     NoGripper,
@@ -62,6 +63,7 @@ def inconsistencies(cell: CellFile) -> Iterator[str]:
     props = [each.prop for each in cell.tracker]
     for prop in sorted({each for each in props if props.count(each) > 1}):
         yield f"two trackers are of the prop {prop!r}: take one out"
+    yield from _cameras(cell)
     yield from _obstacles(cell)
 
 
@@ -161,6 +163,25 @@ def _tool(name: str, arm: ArmEntry) -> Iterator[str]:
             f"{name}.gripper.kind is {arm.gripper.kind!r}, which cannot drive the tool {tool.name!r}: use "
             f"{' or '.join(map(repr, tool.drivers))}, or name the tool at the flange"
         )
+
+
+def _cameras(cell: CellFile) -> Iterator[str]:
+    names = [each.name for each in cell.camera]
+    for name in sorted({each for each in names if names.count(each) > 1}):
+        yield f"two cameras are named {name!r}: give each a name of its own"
+    for index, entry in enumerate(cell.camera):
+        path = f"camera[{index}]"
+        if isinstance(entry, EmulatedCameraEntry) and (cell.kind != "emulated" or cell.emulator is None):
+            yield (
+                f'{path}.kind is "emulated": only an emulated cell has such a camera, at the address in the table '
+                '[emulator]. Use "v4l2", "file", "pattern" or "own", or the file that `emulate --cell` writes'
+            )
+        if (entry.position_m is None) is not (entry.target_m is None):
+            yield f"{path} has one of position_m and target_m: state both, or neither"
+        try:
+            _ = entry.mounted
+        except SettingsError as error:
+            yield f"{path}: {error}"
 
 
 def _obstacles(cell: CellFile) -> Iterator[str]:

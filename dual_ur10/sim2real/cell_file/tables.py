@@ -26,6 +26,7 @@ from ur_core.kinematics.frames import MAX_MOUNT_M, MAX_TILT_RAD, ArmMount
 from ur_core.kinematics.robots import MODEL_OF_FAMILY, MOST_PAYLOAD_KG, ROBOTS
 from ur_core.kinematics.ur10 import NOMINAL_DH, DHParameters, Family, nominal_dh
 from ur_core.mjcf import gains
+from ur_core.mjcf.camera import Camera
 from ur_core.servoj import GAIN_RANGE, LOOKAHEAD_RANGE_S, MEASURED_LOOKAHEAD_S, ServojProfile
 from ur_core.tools.robotiq_2f85 import ROBOTIQ_2F85
 
@@ -165,6 +166,8 @@ def _without_nothing(values: Mapping[str, Any]) -> dict[str, Any]:
     kept = {}
     for name, value in values.items():
         inner = _without_nothing(value) if isinstance(value, Mapping) else value
+        if isinstance(value, tuple):
+            inner = tuple(_without_nothing(each) if isinstance(each, Mapping) else each for each in value)
         if inner is not None and inner not in ({}, ()):
             kept[name] = inner
     return kept
@@ -452,6 +455,103 @@ MAX_TRACKERS: Final = 20
 
 Tracker = Annotated[
     AttachedTrackerEntry | GivenTrackerEntry | EmulatedTrackerEntry | OwnTrackerEntry, Field(discriminator="kind")
+]
+
+
+CameraName = Annotated[
+    str,
+    _text(
+        "the name of a camera, such as front or left/wrist, in quotes",
+        pattern=r"^[A-Za-z]\w{0,39}(/[A-Za-z]\w{0,39})?$",
+    ),
+]
+BodyName = Annotated[str, _text("the name of a body, in quotes", pattern="^[A-Za-z0-9_/-]{0,100}$")]
+Device = Annotated[str, _text("the path of a device, in quotes", pattern="^/dev/[A-Za-z0-9_./:-]{1,100}$")]
+_WIDEST_RAD: Final = math.radians(170)
+
+
+class _CameraEntry(Table):
+    name: CameraName = key("name of the camera, as environments have it", example="front")
+    position_m: Vector[Coordinate] | None = key(
+        "position in the frame of its body; with it, the simulated camera of that name stands there, too",
+        None,
+        example=(1.8, 0.0, 1.0),
+    )
+    target_m: Vector[Coordinate] | None = key(
+        "point in the middle of the image, in that frame", None, example=(-0.4, 0.0, 0.3)
+    )
+    up: Vector[Annotated[float, Field(ge=-1, le=1)]] | None = key(
+        "direction in that frame that is upwards in the images; a missing one is z, or x for a view along z",
+        None,
+        example=(0.0, 0.0, 1.0),
+    )
+    fovy_rad: float = key("vertical field of view", math.pi / 4, low=0.02, high=_WIDEST_RAD)
+    body: BodyName = key("body that carries it; empty: it stands in the cell frame", "", example="left/gripper")
+
+    @property
+    def mounted(self) -> Camera | None:
+        """Camera of the scene that stands where this one does; None: its pose is not stated.
+
+        Raises:
+            SettingsError: The pose is not possible.
+        """
+        if self.position_m is None or self.target_m is None:
+            return None
+        last = self.name.rpartition("/")[2]
+        return Camera(last, self.position_m, self.target_m, math.degrees(self.fovy_rad), self.body, self.up)
+
+
+class _PacedCameraEntry(_CameraEntry):
+    rate_hz: float = key("images per second", 30.0, low=0.1, high=240)
+
+
+class _SizedCameraEntry(_PacedCameraEntry):
+    width: int = key("width of its images in pixels", 640, low=16, high=1920)
+    height: int = key("height of its images in pixels", 480, low=16, high=1080)
+
+
+class FileCameraEntry(_CameraEntry):
+    """Video file, played at its own rate."""
+
+    kind: Literal["file"] = "file"
+    file: FileName = key("path of the video", example="front.mp4")
+    repeat: bool = key("whether it begins again at its end, which otherwise counts as the loss of the camera", False)
+
+
+class PatternCameraEntry(_PacedCameraEntry):
+    """Test images, which show the time of their exposure."""
+
+    kind: Literal["pattern"] = "pattern"
+
+
+class EmulatedCameraEntry(_PacedCameraEntry):
+    """Camera in the world of the emulated cell."""
+
+    kind: Literal["emulated"] = "emulated"
+
+
+class V4l2CameraEntry(_SizedCameraEntry):
+    """Camera of Linux (Video4Linux2), such as one at USB."""
+
+    kind: Literal["v4l2"] = "v4l2"
+    device: Device = key("its device", example="/dev/video0")
+    format: Literal["mjpeg", "yuyv422"] = key("format in which it sends images", "mjpeg")
+    delay_s: float = key("time from the exposure to the time stamp of the driver", 0.0, low=0, high=0.5)
+
+
+class OwnCameraEntry(_SizedCameraEntry):
+    """Camera of your own: a subclass of `CameraSource`, made with a `CameraRequest` and the options."""
+
+    kind: Literal["own"] = "own"
+    camera: ClassName = key("class of the camera", example="my_lab.camera:Industrial")
+    options: Options = key(_OPTIONS, "")
+
+
+MAX_CAMERAS: Final = 16
+
+CameraEntry = Annotated[
+    FileCameraEntry | PatternCameraEntry | EmulatedCameraEntry | V4l2CameraEntry | OwnCameraEntry,
+    Field(discriminator="kind"),
 ]
 
 

@@ -17,6 +17,7 @@ from typing import Any, Final, NoReturn
 import numpy as np
 
 from dual_ur10.errors import ClosedError, DualUR10Error, LinkError, SettingsError, StartError
+from dual_ur10.sim2real.cameras.camera_set import CameraSet
 from dual_ur10.sim2real.cell.cell import CellRequest, CellState, CellStep, Start
 from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.cell.mirror_model import MirrorModel
@@ -37,6 +38,7 @@ from ur_core.kinematics.poses import Poses
 from ur_core.kinematics.rotations import quat_conjugate, quat_from_rotvec, quat_multiply, rotate
 from ur_core.kinematics.ur10 import ARMS
 from ur_core.links.arm_status import ArmStatus
+from ur_core.mjcf.camera import Camera
 from ur_core.processes.machine_load import is_too_busy
 from ur_core.processes.system import LOCAL, System
 from ur_core.types import Array, Rows
@@ -70,14 +72,20 @@ class RtdeCell:
         confirm: Called with a description before the arms move to a start; None: real arms need a yes at the terminal,
             emulated ones none.
         only: "left" or "right": the only arm that moves; None: both.
+        cameras: Names of the cameras whose images are observed.
+        views: Those of them that the program added to the scene.
+        image_size: Height and width of observed images.
         system: Clock, network and processes.
+
+    Attributes:
+        images: Images of the observed cameras; None: none are.
 
     Raises:
         SettingsError: There is no cell file, the configuration differs from it, or the latency is not legal.
         CellFaulted: A latched stop was not cleared.
         CellBusyError: Another program moves one of the arms.
         StartError: A controller is not ready, or the relative pose of the bases is too uncertain for one object.
-        LinkError: A controller or a gripper cannot be reached.
+        LinkError: A controller, a gripper or a camera cannot be reached.
     """
 
     n = 1
@@ -93,6 +101,9 @@ class RtdeCell:
         couples: bool = False,
         confirm: Confirm | None = None,
         only: str | None = None,
+        cameras: Sequence[str] = (),
+        views: tuple[Camera, ...] = (),
+        image_size: tuple[int, int] = (480, 640),
         system: System = LOCAL,
     ) -> None:
         self.system = system
@@ -119,6 +130,8 @@ class RtdeCell:
         self._warnings = [(TemperatureWarning(name), PayloadWarning(name)) for name in ARMS]
         self._grippers: Grippers | None = None
         self._trackers: dict[str, ObjectTracker] = {}
+        self._observed, self._views, self._image_size = tuple(cameras), views, image_size
+        self.images: CameraSet | None = None
         self._frames = Frames((config.left, config.right))
         self._placer: ObjectPlacer | None = None
         self._garbage = system.garbage()
@@ -153,7 +166,7 @@ class RtdeCell:
                 log.warning("%s. Nothing has moved; connecting again", error)
 
     def _equip(self) -> None:
-        """Connect to grippers, object trackers and object placer."""
+        """Connect to grippers, object trackers, object placer and cameras."""
         equipment, file = self.config.equipment, self.file
         if equipment.grippers:
             for name, arm in zip(ARMS, file.arms, strict=True):
@@ -165,6 +178,10 @@ class RtdeCell:
             )
         self._trackers = trackers_of(file, equipment.props, self.system)
         self._placer = placer_of(file, self.system)
+        if self._observed:
+            self.images = CameraSet(
+                file, self.config, self._observed, self._image_size, views=self._views, system=self.system
+            )
         self._begin = StartOfEpisode(
             file,
             self.config,
@@ -200,7 +217,7 @@ class RtdeCell:
             StartError: There is no path, it was not confirmed, an arm or gripper does not arrive, or nothing sets or
                 measures a joint of a prop.
             CellFaulted: The arms were stopped.
-            LinkError: A gripper or the object tracker was lost.
+            LinkError: A gripper, the object tracker or an observed camera was lost.
         """
         runner = self._open
         runner.check()
@@ -236,7 +253,8 @@ class RtdeCell:
         """Send the targets of [now + L, now + L + period), and return the state at now + period, in real time.
 
         Raises:
-            CellFaulted: Both arms have a latched stop, also because a gripper or an object tracker was lost.
+            CellFaulted: Both arms have a latched stop, as where a gripper, object tracker or observed camera was
+                lost.
         """
         runner = self._open
         runner.check()
@@ -261,7 +279,7 @@ class RtdeCell:
             self._stop_without_equipment(runner, error)
 
     def _stop_without_equipment(self, runner: Runner, error: DualUR10Error) -> NoReturn:
-        """Make a latched stop of both arms, whose gripper or object tracker has failed.
+        """Make a latched stop of both arms, whose gripper, object tracker or camera has failed.
 
         Raises:
             CellFaulted: Always, but for a cell that was closed meanwhile.
@@ -332,7 +350,7 @@ class RtdeCell:
             self._end.detach()
             self._runner = None
             self._let_go()
-        for each in (self._grippers, *self._trackers.values(), self._placer):
+        for each in (self._grippers, *self._trackers.values(), self._placer, self.images):
             if each is not None:
                 each.close()
 
@@ -397,6 +415,8 @@ class RtdeCell:
                 ]
             )
             wrench = np.array([_wrench_at_flange(each) for each in statuses])
+        if self.images is not None:
+            self.images.look(self.system.clock.now_s())
         time_s = self._elapsed * self._tick_s
         state = self._mirror.follow(time_s, q, qd / slow, gripper_m=widths, wrench=wrench)
         if not self._trackers:
@@ -508,5 +528,8 @@ def make_rtde_cell(request: CellRequest) -> RtdeCell:
         couples=request.couples,
         confirm=request.confirm,
         only=request.only,
+        cameras=request.cameras,
+        views=request.views,
+        image_size=request.image_size,
         system=request.system,
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import math
 import os
 import re
 import tomllib
@@ -47,6 +48,7 @@ from dual_ur10.sim2real.control.limits import MotionLimits
 from tests.soak import scaled
 from ur_core.kinematics import ur10
 from ur_core.kinematics.robots import ROBOTS
+from ur_core.mjcf.camera import Camera
 from ur_core.mjcf.gains import STIFF, Gains
 from ur_core.servoj import ServojProfile
 from ur_core.tools.robotiq_2f85 import ROBOTIQ_2F85
@@ -157,6 +159,19 @@ def test_every_key_is_read() -> None:
             {"prop": "bar", "kind": "given", "position_m": [0, 0, 0.1], "rotation_rad": [0, 0, 1.5]},
             {"prop": "lid", "kind": "own", "tracker": "my_lab.camera:Camera", "options": "serial=a17 rate=30"},
         ],
+        camera=[
+            {"name": "front", "kind": "v4l2", "device": "/dev/video2", "format": "yuyv422", "delay_s": 0.02},
+            {
+                "name": "left/wrist",
+                "kind": "pattern",
+                "rate_hz": 60,
+                "body": "left/gripper",
+                "fovy_rad": 1.2,
+                "position_m": [0.1, 0, 0],
+                "target_m": [0, 0, 0.2],
+                "up": [1, 0, 0],
+            },
+        ],
         obstacle=[
             {"name": "wall", "kind": "plane", "point_m": [1, 0, 0], "normal": [-1, 0, 0]},
             {"name": "box", "kind": "box", "position_m": [0, 1.5, 0.2], "size_m": [0.1, 0.2, 0.3]},
@@ -194,6 +209,13 @@ def test_every_key_is_read() -> None:
         OwnTrackerEntry(prop="lid", tracker="my_lab.camera:Camera", options="serial=a17 rate=30"),
     )
     assert keywords_of(cell.tracker[1].options) == {"serial": "a17", "rate": 30}
+    front, wrist = cell.camera
+    assert (front.device, front.format, front.width, front.height) == ("/dev/video2", "yuyv422", 640, 480)
+    assert front.mounted is None
+    assert cell_of(GOOD, camera=[each.mapping() for each in cell.camera]).config().cameras == (
+        ("left/wrist", wrist.mounted),
+    )
+    assert wrist.mounted == Camera("wrist", (0.1, 0, 0), (0, 0, 0.2), math.degrees(1.2), "left/gripper", (1, 0, 0))
     assert cell.obstacles == (
         Plane(name="wall", point_m=(1.0, 0.0, 0.0), normal=(-1.0, 0.0, 0.0)),
         Box(name="box", position_m=(0.0, 1.5, 0.2), size_m=(0.1, 0.2, 0.3)),
@@ -401,6 +423,7 @@ def test_changed_cells_are_checked_too() -> None:
 
 # Refusals.
 
+PLACED = {"name": "x", "kind": "pattern", "position_m": [1, 0, 0]}
 BOX = {"name": "b", "kind": "box", "position_m": [0, 1.5, 0], "size_m": [1, 1, 1]}
 PLANE = {"name": "p", "kind": "plane", "point_m": [1, 0, 0], "normal": [-1, 0, 0]}
 REFUSED: list[tuple[dict[str, Any], tuple[str, ...]]] = [
@@ -512,6 +535,11 @@ REFUSED: list[tuple[dict[str, Any], tuple[str, ...]]] = [
     ),
     ({"emulator": {"port": 4000}}, ("emulator is in the file of a real cell", 'kind = "emulated"')),
     ({"tracker": [{"prop": "x", "kind": "emulated"}]}, ('tracker[0].kind is "emulated"', "[emulator]")),
+    ({"camera": [{"name": "x", "kind": "emulated"}]}, ('camera[0].kind is "emulated"', "[emulator]")),
+    ({"camera": [{"name": "x", "kind": "pattern"}] * 2}, ("two cameras are named 'x'",)),
+    ({"camera": [{"name": "x", "kind": "pattern", "position_m": [1, 0, 0]}]}, ("state both, or neither",)),
+    ({"camera": [{**PLACED, "target_m": [1, 0, 0]}]}, ("camera[0]", "the points must differ")),
+    ({"camera": [{**PLACED, "kind": "v4l2", "device": "/etc/x"}]}, ("camera[0].device is", "path of a device")),
     ({"obstacle": [BOX, PLANE, {**PLANE, "name": "b"}]}, ("obstacle[2].name is 'b', as that of obstacle[0]",)),
     ({"obstacle": [{**PLANE, "normal": [-1, -1, 0]}]}, ("obstacle[0].normal has the length 1.41421", "allowed is 1")),
     ({"obstacle": [{**PLANE, "normal": [0, 0, 0]}]}, ("obstacle[0].normal has the length 0",)),
@@ -880,11 +908,20 @@ def test_units_are_in_the_names() -> None:
         "driver",
         "options",
         "normal",
+        "up",
+        "body",
+        "file",
+        "repeat",
+        "width",
+        "height",
+        "device",
+        "format",
+        "camera",
         "date",
         "data",
     }  # numbers without a unit, and texts
     for key in keys().keys:
-        assert key.name in bare or re.search(r"_(m|rad|kg|s|s2|s3)$", key.name), key.path
+        assert key.name in bare or re.search(r"_(m|rad|kg|s|s2|s3|hz)$", key.name), key.path
 
 
 def test_the_reference_page_lists_every_key() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import math
 import os
@@ -34,8 +33,6 @@ POLL_S: Final = 0.04
 _WORDS_EVERY: Final = 5  # polls
 _PLOTS_EVERY: Final = 8
 _HANDLES_EVERY: Final = 3
-_NICE: Final = 5
-_AUTOGROUP: Final = "/proc/self/autogroup"
 
 _LOG: Final = logging.getLogger(__name__)
 
@@ -161,7 +158,7 @@ def main(
         system: Clock and processes.
     """
     system.ignore_interrupts()  # the program handles them, and ends the page
-    _yield_to_others()
+    system.give_way()
     memory = LiveMemory(*shape, name)
     try:
         listener = bind(port)
@@ -185,11 +182,3 @@ def main(
     page.close()
     memory.close()
     os._exit(0)  # threads of the server may still wait for browsers
-
-
-def _yield_to_others() -> None:
-    """Give way to all processes that owe something in time."""
-    with contextlib.suppress(OSError):
-        os.setpriority(os.PRIO_PROCESS, 0, _NICE)
-    with contextlib.suppress(OSError), open(_AUTOGROUP, "w") as file:
-        file.write(str(_NICE))

@@ -41,6 +41,9 @@ NICE: Final = -15
 SLICE_S: Final = 1e-4
 """Time slice of a process that sends targets, the shortest that Linux takes. Any user may ask for it."""
 
+YIELDING: Final = 5
+"""Niceness of a process that owes nothing in time."""
+
 LONGER_SLICE_S: Final = 1e-3
 """Time slice of other processes with deadlines, which a process that sends targets interrupts when it wakes."""
 
@@ -81,6 +84,14 @@ def hasten(rt_priority: int = 0, slice_s: float = LONGER_SLICE_S) -> None:
     except OSError as error:
         reason = f"rt_priority {rt_priority} was refused by the system ({error})"
         raise SettingsError(f"{reason}: allow it (rtprio in limits.conf), or set it to 0") from error
+
+
+def give_way() -> None:
+    """Give way to all processes that owe something in time."""
+    with contextlib.suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, 0, YIELDING)
+    with contextlib.suppress(OSError):
+        Path(_AUTOGROUP).write_text(str(YIELDING))
 
 
 def shorten_slice(slice_s: float = LONGER_SLICE_S, *, inherited: bool) -> float:

@@ -20,7 +20,7 @@ from typing import Any, Final, Protocol, TypeVar
 import numpy as np
 
 from ur_core.errors import SettingsError
-from ur_core.processes.child_process import LONGER_SLICE_S, SLICE_S, Child, hasten, shorten_slice
+from ur_core.processes.child_process import LONGER_SLICE_S, SLICE_S, Child, give_way, hasten, shorten_slice
 from ur_core.processes.clock import Clock, SystemClock
 from ur_core.processes.garbage import GarbageCollector
 from ur_core.processes.remote_function import RemoteFunction
@@ -237,6 +237,10 @@ class System:
             gc.disable()
             np.seterr(all="ignore")
         hasten(rt_priority, SLICE_S if sends else LONGER_SLICE_S)
+
+    def give_way(self) -> None:
+        """Give way to all processes that owe something in time."""
+        give_way()
 
     def idle_s(self) -> float | None:
         """Return the time for which processors of this machine have been idle so far, s, added up; None: unknown."""

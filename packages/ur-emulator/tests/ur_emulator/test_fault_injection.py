@@ -27,9 +27,9 @@ from ur_emulator.script import parse
 DOCS = Path(__file__).parents[4] / "docs" / "reference"
 PAGES = (("emulator.md", "## Fault injection"), ("emulated-cell.md", "## Requests of a cell"))
 REQUESTS = sorted(
-    ["info", "state", "pose", "place", "set_joints", "setpoints", "received", "clients", "stop", "release", "reduce",
-     "press", "slider", "remote", "input", "program", "push", "link", "heal", "drop", "refuse", "override", "watchdog",
-     "script_delay", "pretend", "calibration", "shutdown"]
+    ["info", "state", "pose", "positions", "place", "set_joints", "setpoints", "received", "clients", "stop", "release",
+     "reduce", "press", "slider", "remote", "input", "program", "push", "link", "heal", "drop", "refuse", "override",
+     "watchdog", "script_delay", "pretend", "calibration", "shutdown"]
 )  # fmt: skip
 
 

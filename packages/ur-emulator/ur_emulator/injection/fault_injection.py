@@ -61,6 +61,9 @@ class CellUnderTest(Protocol):
     ended: bool
     """Set to end the cell."""
 
+    due_s: float
+    """Time on the system's clock of the control period to which the present state of the world belongs."""
+
     @property
     def servers(self) -> Sequence[ArmServer]:
         """Its controllers."""
@@ -177,6 +180,11 @@ class FaultInjection:
             quat = quat_multiply(rotation, quat).tolist()
         joints = self._cell.world.joints(body)
         return {"position_m": position, "quat": quat, **({"joints": joints} if joints else {})}
+
+    def do_positions(self) -> dict[str, Any]:
+        """Return positions of MuJoCo's model, poses of placed bodies, and their time on this machine's clock."""
+        qpos, mocap = self._cell.world.positions()
+        return {"qpos": qpos.tolist(), "mocap": mocap.tolist(), "at_s": self._cell.due_s}
 
     def do_setpoints(self, arm: str, since: _Since = 0) -> dict[str, Any]:
         """Return executed servoj targets from number `since`, at most 1000: tick, target, t, lookahead, gain."""

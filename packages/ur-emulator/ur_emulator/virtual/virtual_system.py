@@ -234,6 +234,9 @@ class VirtualSystem(System):
                 "emulated cell"
             )
 
+    def give_way(self) -> None:
+        """Do nothing: virtual processes take turns."""
+
     def idle_s(self) -> float | None:
         """Return None: a virtual cell takes as long as it takes."""
         return None

@@ -179,6 +179,10 @@ class LoneArm:
         """See `SimulatedWorld`."""
         return {}
 
+    def positions(self) -> tuple[Array, Array]:
+        """See `SimulatedWorld`."""
+        return self._data.qpos, np.zeros((0, 7))
+
     def place(self, pose: Array, prop: str = "") -> None:
         """See `SimulatedWorld`."""
         raise SettingsError("a controller by itself has no object to place: emulate a cell with the scene of a task")

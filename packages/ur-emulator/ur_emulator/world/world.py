@@ -84,6 +84,10 @@ class SimulatedWorld(Protocol):
         """Return the positions of a prop's joints, rad or m, by their names; {} for other bodies."""
         ...
 
+    def positions(self) -> tuple[Array, Array]:
+        """Return the positions of MuJoCo's model, (nq,), and the poses of bodies that are placed, (n, 7)."""
+        ...
+
     def place(self, pose: Array, prop: str = "") -> None:
         """Place an object at a pose, (7,) position and (w, x, y, z), at rest.
 

@@ -156,11 +156,8 @@ def test_lerobot_evaluates(run, exported, root):
 
 
 def test_lerobot_loads_and_evaluates_a_checkpoint_of_act(run, root):
-    run(
-        "-m", "dual_ur10", "train", "Handover", "--algo", "act", "--envs", 2, "--out", root / "act",
-        "--hyperparameter", "demonstrations=2", "--hyperparameter", "fit_steps=5", "--hyperparameter", "dim_model=16",
-    )  # fmt: skip
-    policy = root / "act" / "policy"
+    policy = root / "act"
+    run(HERE / "make_act.py", policy)
     assert "20 chunks of LeRobot are those of dual_ur10" in run(HERE / "load_policy.py", policy)
     run(
         *script("eval"), f"--policy.path={policy}", "--env.type=dual_ur10", "--env.task=Handover",

@@ -160,17 +160,17 @@ class ActSettings(Demonstrated):
             A chunk is of joints in any case.
     """
 
-    learning_rate: LearningRate = 5e-4
-    batch_size: Samples = 128
-    fit_steps: Count = 20_000
+    learning_rate: LearningRate = 7e-4
+    batch_size: Samples = 64
+    fit_steps: Count = 24_000
     demonstrations: Annotated[int, Field(ge=0, le=10**6)] = 50
-    chunk_size: Annotated[int, Field(ge=1, le=MOST_ACTIONS)] = 25
+    chunk_size: Annotated[int, Field(ge=1, le=MOST_ACTIONS)] = 12
     dim_model: Annotated[int, Field(ge=1, le=MOST_WIDTH)] = 128
     n_heads: Annotated[int, Field(ge=1, le=MOST_WIDTH)] = 8
-    dim_feedforward: Annotated[int, Field(ge=1, le=MOST_WIDTH)] = 512
+    dim_feedforward: Annotated[int, Field(ge=1, le=MOST_WIDTH)] = 256
     n_encoder_layers: Annotated[int, Field(ge=1, le=MOST_LAYERS)] = 2
-    check_steps: Count = 5000
-    averaging: Ratio = 0.999
+    check_steps: Count = 12_000
+    averaging: Ratio = 0.998
     chunk_mode: ChunkMode = "joint_delta"
     demonstrated: Literal["", "joint_delta", "joint_position", "tcp_delta"] = ""
 
@@ -371,7 +371,7 @@ HANDOVER: Final = TaskSettings(
     ),
     # It sees the commanded positions, the fingers, the block, its goal and the role.
     imitation=Imitation(unseen=(*_MOTION_FIELDS, "progress")),
-    act=ActSettings(demonstrated="tcp_delta", unseen=_without_commanded(_HANDOVER_UNSEEN)),
+    act=ActSettings(demonstrated="tcp_delta", noise=0.2, unseen=_without_commanded(_HANDOVER_UNSEEN)),
     joint_unseen=_GOALS,
     # Rounds differ by a few percent, which 32 episodes do not tell.
     checks=128,
@@ -646,6 +646,9 @@ def defaults(
     view_of(env_id, given)  # refuses keywords that make no environment before anything is made
     gathered = "bc" if algorithm == "act" else algorithm
     usual_envs, usual_steps = own.envs if algorithm in IMITATION else _ENVS, own.steps.get(gathered, _STEPS[gathered])
+    settings = dataclasses.replace(settings, **(changes or {}))
+    if isinstance(settings, ActSettings) and settings.demonstrations:
+        usual_envs = min(usual_envs, settings.demonstrations)
     if operator:
         usual_envs, usual_steps = 1, _CORRECTED_STEPS
     return Training(
@@ -657,7 +660,7 @@ def defaults(
         seed=seed,
         keywords=given,
         checks=own.checks if algorithm in IMITATION else _CHECKS,
-        settings=dataclasses.replace(settings, **(changes or {})),
+        settings=settings,
         dataset=dataset,
         init=os.path.abspath(init) if init else "",  # a resumed training may run elsewhere
         operator=operator,

@@ -105,6 +105,23 @@ def baselines() -> str:
     return _table(rows)
 
 
+def agreement() -> str:
+    """Return the table of policies in simulation and on virtual cells, and the agreement of the two."""
+    from dual_ur10.policies.evaluation.agreement import agreements, read_policies
+
+    rows = [("task", "policy", "in simulation", "on virtual cells")]
+    figures = [("task", "policies", "Pearson's r", "Spearman's rank correlation", "mean maximum rank violation")]
+    notes = []
+    for found in agreements(read_policies(Path(__file__).parent / "reference" / "agreement.csv")):
+        for number, each in enumerate(found.policies):
+            counts = (_counted(side.successes, side.episodes) for side in (each.simulation, each.cell))
+            rows.append((found.task if number == 0 else "", each.policy, *counts))
+        both = ("none" if each is None else f"{each:.2f}" for each in (found.pearson, found.spearman))
+        figures.append((found.task, str(len(found.policies)), *both, f"{found.max_rank_violation:.3f}"))
+        notes += [f"{found.task}: {each}." for each in found.notes]
+    return "\n\n".join([_table(rows), _table(figures), *notes])
+
+
 _BASELINES = ("policy", "nominal", "mild", "wide", "learned from")
 
 
@@ -116,18 +133,20 @@ def _measured() -> dict[str, Any]:
 
 def _baseline_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
     """Return a row for each learner of a task."""
-    from dual_ur10.policies.evaluation.results import wilson_interval
-
-    def text(k: int, n: int) -> str:
-        low, high = wilson_interval(k, n)
-        percent = f"{100 * low:.1f} to {100 * high:.1f} %".replace("100.0", "100")
-        return f"{k} of {n} ({percent})" if n else "–"
-
     rows = []
     for name, row in found.items():
-        counts = (text(*row[preset]) for preset in ("nominal", "mild", "wide"))
+        counts = (_counted(*row[preset]) for preset in ("nominal", "mild", "wide"))
         rows.append((LEARNERS[name].format(**row), *counts, f"{row['steps']:,} steps" if "steps" in row else "–"))
     return rows
+
+
+def _counted(successes: int, episodes: int) -> str:
+    """Return a number of successes, with the interval of their rate."""
+    from dual_ur10.policies.evaluation.results import wilson_interval
+
+    low, high = wilson_interval(successes, episodes)
+    percent = f"{100 * low:.1f} to {100 * high:.1f} %".replace("100.0", "100")
+    return f"{successes} of {episodes} ({percent})" if episodes else "–"
 
 
 def _table(rows: list[tuple[str, ...]]) -> str:
@@ -262,6 +281,7 @@ TABLES = {
     "reference/robots.md": ("<!-- table of robots -->", robots),
     "reference/urscript.md": ("<!-- table of URScript -->", urscript),
     "reference/baselines.md": ("<!-- table of baselines -->", baselines),
+    "how-to/evaluate.md": ("<!-- table of agreement -->", agreement),
 }
 """Marks that generated tables replace, by page."""
 

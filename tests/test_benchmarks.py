@@ -167,3 +167,17 @@ def test_an_export_is_measured(monkeypatch):
     found = importlib.import_module("lerobot_export").measure(0.5, "ur10")
     assert found["frames"] == 750
     assert found["record_mib"] > 1.0
+
+
+def test_policies_are_measured_on_both_sides_and_continued(monkeypatch, tmp_path):
+    pytest.importorskip("rtde_control")
+    monkeypatch.syspath_prepend(FOLDER)
+    agreement, path = importlib.import_module("agreement"), tmp_path / "policies.csv"
+    monkeypatch.setitem(agreement.KEYWORDS, "DualUR10/SineTracking-v0", {"duration_s": 0.4})
+    noisy = ["--task", "SineTracking", "--policy", "script, noise 0.04", "--csv", str(path)]
+    for episodes in (1, 2):
+        monkeypatch.setattr(sys, "argv", ["agreement.py", *noisy, "--simulation", str(episodes), "--cell", "1"])
+        agreement.main()
+        (found,) = agreement.read_policies(path)
+        assert (found.task, found.policy, found.cell.episodes) == ("SineTracking", "script, noise 0.04", 1)
+        assert found.simulation.episodes == episodes

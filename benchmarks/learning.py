@@ -149,7 +149,7 @@ def main() -> None:
         if "act" in args.parts and (args.tasks or task.rsplit("-v", 1)[0] in ACT_TASKS):
             results.setdefault(task, {})["act"] = act(env_id, args.episodes, args.act)
     if args.json is not None:
-        args.json.write_text(json.dumps(results, indent=1) + "\n")
+        args.json.write_text(json.dumps({task: row for task, row in results.items() if row}, indent=1) + "\n")
 
 
 def climbed(parser: argparse.ArgumentParser, args: argparse.Namespace) -> dict[str, Any]:

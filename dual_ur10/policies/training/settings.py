@@ -162,14 +162,14 @@ class ActSettings(Demonstrated):
 
     learning_rate: LearningRate = 7e-4
     batch_size: Samples = 64
-    fit_steps: Count = 24_000
+    fit_steps: Count = 12_000
     demonstrations: Annotated[int, Field(ge=0, le=10**6)] = 50
     chunk_size: Annotated[int, Field(ge=1, le=MOST_ACTIONS)] = 12
     dim_model: Annotated[int, Field(ge=1, le=MOST_WIDTH)] = 128
     n_heads: Annotated[int, Field(ge=1, le=MOST_WIDTH)] = 8
     dim_feedforward: Annotated[int, Field(ge=1, le=MOST_WIDTH)] = 256
     n_encoder_layers: Annotated[int, Field(ge=1, le=MOST_LAYERS)] = 2
-    check_steps: Count = 12_000
+    check_steps: Count = 6000
     averaging: Ratio = 0.998
     chunk_mode: ChunkMode = "joint_delta"
     demonstrated: Literal["", "joint_delta", "joint_position", "tcp_delta"] = ""

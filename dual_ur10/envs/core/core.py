@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from dual_ur10.envs.core.cells import RECORDING, StepHook, request_for
 from dual_ur10.envs.core.ends import BRAKED, DIVERGED, SUCCESS, TIME, early_end, refusal
 from dual_ur10.envs.core.options import EnvOptions
-from dual_ur10.envs.core.randomization import apply_sample
+from dual_ur10.envs.core.randomization import VISUAL_SEED, apply_sample
 from dual_ur10.envs.core.sensing import Sensing
 from dual_ur10.envs.core.setup import EnvSetup, check_for_controllers, check_reset
 from dual_ur10.envs.tasks.observation_layout import ConciseView
@@ -164,6 +164,7 @@ class Core:
         threads: Number of threads that step, and that draw observed images.
         late_actions: Number of actions that missed their deadline, so that both arms stopped.
         commander: (2,) True for an arm that a person commands in the next step, for the record.
+        visual_seed: (n,) number from which the look of each cell's episode follows; NaN: it is nominal.
         keeps_start: Keep what `initial_info` needs of each reset; False, unless an interface asks for it.
         per_arm: Names of those values of `info` whose second axis is for the left and the right arm.
     """
@@ -218,6 +219,7 @@ class Core:
         self._begun = False  # whether an episode ever has
         self.late_actions = 0
         self.keeps_start = False
+        self.visual_seed: Array = np.full(n, np.nan)
         self._started: tuple[Rows, list[np.random.Generator]] | None = None
         self.per_arm = (*_PER_ARM, *self.task.per_arm)
         self.commander: Mask = np.zeros(2, dtype=bool)
@@ -332,6 +334,8 @@ class Core:
         self._started = (rows, copy.deepcopy(list(rngs))) if self.keeps_start else None
         start = self._begin(rows, rngs)
         sampled = {} if self._randomization.is_none else self._randomization.sample(rngs, len(self._sensing.tracked))
+        if VISUAL_SEED in sampled:
+            self.visual_seed[rows] = sampled[VISUAL_SEED]
         seeds = [int(rng.integers(2**31)) for rng in rngs]
         self._clearance.check_start(start.q_rad)
         self.pipeline.reset(start.q_rad, rows, start.widths_m)

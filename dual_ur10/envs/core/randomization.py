@@ -15,6 +15,12 @@ from ur_core.types import Array
 JOINT_FRICTION_NM: Final = (5.0, 5.0, 3.0, 1.0, 1.0, 1.0)
 """Coulomb friction of the joints at `joint_friction` 1: that of `dual_ur10.TYPICAL_PERTURBATION`."""
 
+VISUAL: Final = ("light", "colour", "camera_shift_m", "camera_turn_rad")
+"""Ranges that observed images alone show."""
+
+VISUAL_SEED: Final = "visual_seed"
+"""Name of the sampled number from which the look of an episode follows."""
+
 _LOOKAHEAD_DIGITS: Final = 3  # of a sampled lookahead, so that cached discretisations are reused
 
 
@@ -42,6 +48,10 @@ class Randomization:
         object_mass: ± fraction of the object's mass and inertia.
         grip_friction: ± fraction of the pads' friction, per arm.
         object_spread: Factor on the task's ranges of the object's initial pose.
+        light: ± fraction of the strength of each light, in observed images.
+        colour: ± fraction of red, green and blue of each material and shape there.
+        camera_shift_m: ± offset of each camera along each axis of the frame that it stands in.
+        camera_turn_rad: ± rotation of each camera about each of its axes.
 
     Raises:
         SettingsError: A value is not possible.
@@ -63,6 +73,10 @@ class Randomization:
     object_mass: float = 0.0
     grip_friction: float = 0.0
     object_spread: float = 1.0
+    light: float = 0.0
+    colour: float = 0.0
+    camera_shift_m: float = 0.0
+    camera_turn_rad: float = 0.0
 
     def __post_init__(self) -> None:
         most = {
@@ -82,6 +96,10 @@ class Randomization:
             "object_mass": 0.9,
             "grip_friction": 0.9,
             "object_spread": 5.0,
+            "light": 0.9,
+            "colour": 1.0,
+            "camera_shift_m": 0.2,
+            "camera_turn_rad": 0.5,
         }
         for name, high in most.items():
             value = getattr(self, name)
@@ -110,6 +128,11 @@ class Randomization:
         }
         return tuple(name for name, value in by_name.items() if value)
 
+    @property
+    def visual(self) -> bool:
+        """True if observed images look otherwise from episode to episode, beyond what moves in them."""
+        return any(getattr(self, name) for name in VISUAL)
+
     def spread(self, settings: Any, given: Mapping[str, Any], ranges: Sequence[str]) -> Any:
         """Return a task's settings with wider ranges of objects' initial poses.
 
@@ -133,7 +156,8 @@ class Randomization:
 
 
         Values of `dual_ur10.sim2real.cell.perturbation.Perturbation` have its names, and are factors or differences
-        on top of the cell's own. The others are for `dual_ur10.envs.core.sensing.Sensing`.
+        on top of the cell's own. `VISUAL_SEED` is for observed images, the others for
+        `dual_ur10.envs.core.sensing.Sensing`.
         """
         # The stream advances equally, whichever numbers are used.
         unit = np.array([rng.uniform(-1.0, 1.0, 40) for rng in rngs])
@@ -143,6 +167,7 @@ class Randomization:
         latency = self.latency_s * up[:, :1] + self.skew_s * up[:, 1:3]
         lookahead = np.round(1.0 + self.lookahead * unit[:, 4:6], _LOOKAHEAD_DIGITS)
         return {
+            **({VISUAL_SEED: unit[:, 30]} if self.visual else {}),
             "mass_scale": 1.0 + self.mass * unit[both],
             "friction_nm": self.joint_friction * up[:, 6:18].reshape(-1, 2, 6) * np.array(JOINT_FRICTION_NM),
             "lookahead_scale": lookahead,
@@ -185,6 +210,10 @@ PRESETS: Final = {
         base_turn_rad=0.0005,
         object_mass=0.1,
         grip_friction=0.2,
+        light=0.15,
+        colour=0.1,
+        camera_shift_m=0.005,
+        camera_turn_rad=0.01,
     ),
     "wide": Randomization(
         mass=0.1,
@@ -203,6 +232,10 @@ PRESETS: Final = {
         object_mass=0.3,
         grip_friction=0.4,
         object_spread=1.5,
+        light=0.4,
+        colour=0.3,
+        camera_shift_m=0.02,
+        camera_turn_rad=0.03,
     ),
 }
 """Named randomizations. "mild" is about the deviation of well maintained arms from their model; "wide" is several times

@@ -28,9 +28,12 @@ class _Painter:
     def __init__(self, core: Core) -> None:
         import mujoco
 
+        from dual_ur10.envs.rendering.look import Look  # an environment of numbers needs none
+
         options, self._core = core.options, core
         self._model = build_model(core.config.scene)
         self._data = mujoco.MjData(self._model)
+        self._look = Look(self._model, core.setup.randomization) if core.setup.randomization.visual else None
         self.canvas = Canvas(self._model, options.width, options.height, shadows=options.shadows)
         self.canvas.release()
 
@@ -41,6 +44,8 @@ class _Painter:
         try:
             for row in rows.tolist():
                 self._core.copy_state(row, self._model, self._data)
+                if self._look is not None:
+                    self._look.apply(float(self._core.visual_seed[row]))
                 mujoco.mj_kinematics(self._model, self._data)
                 mujoco.mj_camlight(self._model, self._data)
                 for camera, image in images.items():

@@ -35,7 +35,7 @@ from safetensors.numpy import save as _serialised
 
 from dual_ur10.assets.settings import Equipment
 from dual_ur10.envs.core.options import EnvOptions
-from dual_ur10.envs.core.randomization import PRESETS, Randomization, resolve_randomization
+from dual_ur10.envs.core.randomization import PRESETS, VISUAL, Randomization, resolve_randomization
 from dual_ur10.errors import CheckpointError
 from dual_ur10.ids import __version__, env_id_of, received
 from dual_ur10.policies.learned import schema
@@ -479,6 +479,8 @@ def _wider(made: EnvironmentSignature, view: EnvironmentView) -> list[str]:
     names = {each.name for each in dataclasses.fields(here)} - {"object_spread"}
     if view.setup.requirements.equipment == Equipment():
         names -= {name for name in names if name.startswith(("object_", "grip_"))}
+    if not view.setup.options.pictured:
+        names -= {*VISUAL}
     ranges = [(name, *(getattr(each, name) for each in (trained, mild, here))) for name in sorted(names)]
     return [
         f"randomization {name} was {then:g} and is {now:g}" for name, then, low, now in ranges if now > max(then, low)

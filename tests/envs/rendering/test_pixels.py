@@ -460,6 +460,35 @@ def test_where_egl_fails_the_next_backend_is_tried(tmp_path):
     assert result.stderr == ""
 
 
+VISUAL = {"light": 0.3, "colour": 0.2, "camera_shift_m": 0.05, "camera_turn_rad": 0.05}
+
+
+@pytest.mark.parametrize("name", VISUAL)
+def test_each_visual_range_changes_images_from_episode_to_episode_and_nothing_else(name):
+    keywords = {"randomization": {name: VISUAL[name]}}
+    env, plain = single("both", **keywords), single("both")
+    first, info = env.reset(seed=1)
+    assert -1.0 < info["randomization"]["visual_seed"] < 1.0
+    assert not equal(first["pixels"], plain.reset(seed=1)[0]["pixels"])
+    stepped = [env.step(action)[0] for action in actions(2)]
+    assert not equal(env.reset(seed=2)[0]["pixels"], first["pixels"])
+    assert equal(env.reset(seed=1)[0], first)
+    for action, observation in zip(actions(2), stepped, strict=True):
+        assert equal(env.step(action)[0], observation)
+        assert np.array_equal(plain.step(action)[0]["state"], observation["state"])
+
+
+def test_rows_look_as_single_environments_do():
+    keywords = {"randomization": VISUAL}
+    env = vector(3, **keywords)
+    many, _ = env.reset(seed=3)
+    for row_ in range(3):
+        assert equal(row(many, row_), single(**keywords).reset(seed=3 + row_)[0])
+    assert not equal(row(many, 0), row(many, 1))
+    for preset in ("mild", "wide"):
+        assert not equal(single(randomization=preset).reset(seed=3)[0], single().reset(seed=3)[0])
+
+
 def test_masks_of_an_info_share_no_memory():
     env = vector(2, "state", autoreset_mode="SameStep", duration_s=0.2)
     infos = [env.reset(seed=0)[1], *(env.step(action)[4] for action in actions(5, 2))]

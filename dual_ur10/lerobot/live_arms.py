@@ -33,7 +33,7 @@ class LiveArms:
 
     Args:
         env: Id of the environment, or its short form. Its episode must not end by itself: "Free".
-        cameras: Cameras whose images are observed, of the simulated model.
+        cameras: Cameras whose images are observed: of the model, or of the cell.
         size: Height and width of an image.
         **keywords: Further keywords of the environment, such as `cell` and `robot`; they are pickled.
 

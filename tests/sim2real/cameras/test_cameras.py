@@ -347,6 +347,21 @@ def test_the_newest_image_not_newer_than_the_observation(observation):
         env.close()
 
 
+def test_a_vector_environment_of_one_cell_has_images_and_ages():
+    with VirtualCell(file={"camera": [FRONT]}) as cell:
+        env = gym.make_vec(
+            "DualUR10/SineTracking-v0", num_envs=1, cell=cell, observation="pixels", cameras="front",
+            autoreset_mode="Disabled", height=SIZE[0], width=SIZE[1],
+        )  # fmt: skip
+        found, info = env.reset(seed=0)
+        assert found["front"].shape == (1, *SIZE, 3)
+        assert info["_image_age_s/front"].tolist() == [True]
+        found, *_, info = env.step(REST[None])
+        shown_s = pattern_time_s(found["front"][0]) + info["image_age_s/front"][0]
+        assert shown_s == pytest.approx(env.unwrapped.core.cell.images.looked_s, abs=1e-5)
+        env.close()
+
+
 def test_images_are_kept_as_long_as_the_rate_asks():
     with VirtualCell(file={"camera": [FRONT]}) as cell:
         env = make(cell, pixels_rate_hz=12.5)

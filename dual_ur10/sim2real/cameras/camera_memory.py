@@ -16,7 +16,7 @@ SLOTS: Final = 8
 
 _TEXT: Final = 2048
 _TRIES: Final = 8
-_COUNT, _LOST, _ENDING = range(3)
+_COUNT, _LOST, _ENDING, _VIDEO, _FAILED = range(5)
 
 
 class CameraMemory:
@@ -32,10 +32,13 @@ class CameraMemory:
 
     def __init__(self, size: tuple[int, int], name: str | None = None) -> None:
         layout: Layout = {
-            "ints": (np.int64, (4,)),
+            "ints": (np.int64, (5,)),
             "times": (np.float64, (SLOTS,)),
             "images": (np.uint8, (SLOTS, *size, 3)),
             "text": (np.uint8, (_TEXT,)),
+            "video": (np.uint8, (_TEXT,)),
+            "begin": (np.float64, (1,)),
+            "failure": (np.uint8, (_TEXT,)),
         }
         self._block = SharedBlock(layout, name)
         self.name = self._block.name
@@ -60,7 +63,23 @@ class CameraMemory:
         self._block.set_text("text", reason)
         self._ints[_LOST] = 1
 
+    def fail(self, reason: str) -> None:
+        """Note that the video is not written any more, and why."""
+        self._block.set_text("failure", reason)
+        self._ints[_FAILED] = 1
+
     # Written by the program.
+
+    def record(self, path: str, begin_s: float) -> None:
+        """Ask for a video, once.
+
+        Args:
+            path: File to make.
+            begin_s: Zero of the run's clock on the system's clock.
+        """
+        self._block["begin"][0] = begin_s
+        self._block.set_text("video", path)
+        self._ints[_VIDEO] = 1
 
     def end(self) -> None:
         """Ask the camera's process to end."""
@@ -77,6 +96,16 @@ class CameraMemory:
     def lost(self) -> str:
         """Reason why no more images come; "": they do."""
         return self._block.text("text") if self._ints[_LOST] else ""
+
+    @property
+    def video(self) -> tuple[str, float] | None:
+        """Path of the video and zero of the run's clock; None: there is to be none."""
+        return (self._block.text("video"), float(self._block["begin"][0])) if self._ints[_VIDEO] else None
+
+    @property
+    def failure(self) -> str:
+        """Reason why the video is not written any more; "": it is, or is not wanted."""
+        return self._block.text("failure") if self._ints[_FAILED] else ""
 
     @property
     def ending(self) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import math
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -13,6 +14,7 @@ from dual_ur10.errors import DualUR10Error, LinkError
 from dual_ur10.sim2real.cameras.camera_memory import CameraMemory
 from dual_ur10.sim2real.cameras.camera_source import CameraRequest, CameraSource, Exposure, source_of, source_type
 from dual_ur10.sim2real.cameras.image_size import check_fits, resized
+from dual_ur10.sim2real.cameras.video_record import VideoRecord
 from dual_ur10.sim2real.cell_file.tables import FileCameraEntry
 from ur_core.processes.system import LOCAL, Process, System
 from ur_core.types import Closing
@@ -134,8 +136,8 @@ def main(name: str, request: CameraRequest, parent: int, *, system: System = LOC
 
     guarding = system.thread(guard, "camera guard")
     try:
-        with source_of(request) as source:
-            _run(source, memory, request, parent)
+        with source_of(request) as source, contextlib.closing(_Video(memory)) as video:
+            _run(source, memory, request, parent, video)
     except DualUR10Error as error:
         memory.lose(str(error))
     except Exception as error:  # of any kind: it may be another's code
@@ -145,7 +147,40 @@ def main(name: str, request: CameraRequest, parent: int, *, system: System = LOC
     memory.close()
 
 
-def _run(source: CameraSource, memory: CameraMemory, request: CameraRequest, parent: int) -> None:
+class _Video:
+    """Video of a camera, as soon as the program asks for it. A failure of it is no failure of the camera."""
+
+    def __init__(self, memory: CameraMemory) -> None:
+        self._memory, self._failed = memory, False
+        self._record: VideoRecord | None = None
+
+    def add(self, exposure: Exposure) -> None:
+        """Append an image, if there is to be a video."""
+        if self._failed or (wanted := self._memory.video) is None:
+            return
+        try:
+            if self._record is None:
+                path, begin_s = wanted
+                height, width = exposure.image.shape[:2]
+                self._record = VideoRecord(Path(path), (height, width), begin_s)
+            self._record.add(exposure)
+        except DualUR10Error as error:
+            self._fail(error)
+
+    def close(self) -> None:
+        """Complete the video."""
+        if self._record is not None and not self._failed:
+            try:
+                self._record.close()
+            except DualUR10Error as error:
+                self._fail(error)
+
+    def _fail(self, error: DualUR10Error) -> None:
+        self._failed = True
+        self._memory.fail(str(error))
+
+
+def _run(source: CameraSource, memory: CameraMemory, request: CameraRequest, parent: int, video: _Video) -> None:
     """Put the images of a camera into its memory.
 
     Raises:
@@ -178,6 +213,7 @@ def _run(source: CameraSource, memory: CameraMemory, request: CameraRequest, par
             continue  # the same image again
         last_s = exposed_s
         memory.put(Exposure(resized(image, request.size), float(exposed_s)))
+        video.add(Exposure(image, float(exposed_s)))  # at its own size
 
 
 def ready(cameras: list[CameraProcess]) -> None:

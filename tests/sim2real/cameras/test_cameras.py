@@ -15,13 +15,14 @@ from hypothesis import strategies as st
 import dual_ur10  # noqa: F401  # registers the environments
 from dual_ur10.assets.scene import build_model
 from dual_ur10.envs.rendering.images import Canvas
-from dual_ur10.errors import CellFaulted, CellFileError, LinkError, SettingsError, UnknownNameError
+from dual_ur10.errors import CellFaulted, CellFileError, LinkError, RecordingError, SettingsError, UnknownNameError
 from dual_ur10.sim2real.cameras import camera_process
 from dual_ur10.sim2real.cameras.camera_memory import SLOTS, CameraMemory
 from dual_ur10.sim2real.cameras.camera_process import CameraProcess
 from dual_ur10.sim2real.cameras.camera_source import CameraRequest, CameraSource, Exposure, source_of
 from dual_ur10.sim2real.cameras.image_size import check_fits, resized
 from dual_ur10.sim2real.cameras.pattern_camera import pattern, pattern_time_s
+from dual_ur10.sim2real.cameras.video_record import read_video, video_name
 from dual_ur10.sim2real.cell_file.cell_file import CellFile
 from dual_ur10.sim2real.cell_file.tables import (
     FileCameraEntry,
@@ -440,3 +441,51 @@ def test_the_simulated_camera_stands_where_the_real_one_does():
     assert model.camera("front").fovy[0] == pytest.approx(np.degrees(0.5))
     assert model.camera("bench").pos.tolist() == [0.0, 1.0, 1.0]
     env.close()
+
+
+# Videos beside a record.
+
+
+def test_a_run_has_a_video_of_each_observed_camera_with_true_times(tmp_path):
+    wrist = {"name": "side", "kind": "pattern", "rate_hz": 10.0}
+    with VirtualCell(file={"camera": [FRONT, wrist]}) as cell:
+        env = make(cell, cameras=("front", "side"), record=tmp_path)
+        env.reset(seed=0)
+        for _ in range(10):
+            env.step(REST)
+        begin_s = env.unwrapped.core._hook.recorder.begin_s
+        env.close()
+    (folder,) = tmp_path.iterdir()
+    for name, rate_hz in (("front", 30.0), ("side", 10.0)):
+        found = list(read_video(folder / video_name(name)))
+        times = np.array([time_s for time_s, _ in found])
+        shown = np.array([pattern_time_s(image) for _, image in found])
+        np.testing.assert_allclose(shown - begin_s, times, atol=5e-6)
+        np.testing.assert_allclose(np.diff(times), 1 / rate_hz, atol=2e-6)
+        assert len(found) > 4
+
+
+def test_a_video_is_readable_where_its_process_was_killed(tmp_path):
+    camera = CameraProcess(request_of(PatternCameraEntry(name="front", rate_hz=200.0)))
+    camera.wait_until_ready(LOCAL.clock.now_s() + 20.0)
+    camera.memory.record(str(tmp_path / "it.mp4"), LOCAL.clock.now_s())
+    before = camera.memory.count
+    until(lambda: camera.memory.count > before + 100)
+    camera._process.kill()
+    assert len(list(read_video(tmp_path / "it.mp4"))) >= 60
+    with pytest.raises(LinkError, match="its process has ended"):
+        camera.newest(LOCAL.clock.now_s())
+    camera.close()
+
+
+def test_a_video_that_cannot_be_written_is_a_note(tmp_path):
+    with VirtualCell() as cell:
+        camera = CameraProcess(request_of(PatternCameraEntry(name="front"), system=cell.system))
+        camera.wait_until_ready(cell.now_s + 1.0)
+        camera.memory.record(str(tmp_path / "nowhere" / "it.mp4"), cell.now_s)
+        cell.clock.sleep(0.2)
+        assert "cannot write" in camera.memory.failure
+        assert camera.newest(cell.now_s).exposed_s > cell.now_s - 0.1
+        camera.close()
+    with pytest.raises(RecordingError, match="is no video of a camera"):
+        list(read_video(tmp_path / "none.mp4"))

@@ -1,0 +1,109 @@
+"""Videos of cameras beside a record: H.264 with the true time of each image."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dual_ur10.errors import MissingExtraError, RecordingError
+from dual_ur10.sim2real.cameras.camera_source import Exposure
+
+_PER_S: Final = 1_000_000  # of the time base
+_OPTIONS: Final = {"preset": "ultrafast", "tune": "zerolatency", "crf": "23", "g": "30", "threads": "1"}
+# Readable up to the last second where its process was killed.
+_CONTAINER: Final = {
+    "movflags": "frag_keyframe+delay_moov+default_base_moof",  # with the time of the first image
+    "flush_packets": "1",
+    "video_track_timescale": str(_PER_S),
+    "movie_timescale": str(_PER_S),
+}
+
+
+def _av() -> Any:
+    try:
+        import av
+    except ImportError:
+        raise MissingExtraError("PyAV", "cameras", "the record of a camera") from None
+    return av
+
+
+def video_name(camera: str) -> str:
+    """Return the name of the video of a camera in the folder of a run."""
+    return f"camera_{camera.replace('/', '_')}.mp4"
+
+
+class VideoRecord:
+    """Writer of the video of one camera.
+
+    Args:
+        path: File to make.
+        size: Height and width of its images. Odd ones lose a row or column, as H.264 takes even sizes.
+        begin_s: Zero of the run's clock on the system's clock. Earlier images are left out.
+
+    Raises:
+        MissingExtraError: PyAV is not installed.
+        RecordingError: It cannot be written.
+    """
+
+    def __init__(self, path: Path, size: tuple[int, int], begin_s: float) -> None:
+        self._av, self._path, self._begin_s = _av(), path, begin_s
+        self._size = size[0] // 2 * 2, size[1] // 2 * 2
+        self._errors = (self._av.FFmpegError, OSError, ValueError)
+        try:
+            self._file = self._av.open(str(path), "w", options=_CONTAINER)
+            self._stream: Any = self._file.add_stream("libx264", options=_OPTIONS)
+        except self._errors as error:
+            raise RecordingError(f"cannot write {path}: {error}") from error
+        self._stream.height, self._stream.width = self._size
+        self._stream.pix_fmt = "yuv420p"
+        self._stream.time_base = self._stream.codec_context.time_base = Fraction(1, _PER_S)
+
+    def add(self, exposure: Exposure) -> None:
+        """Append an image.
+
+        Raises:
+            RecordingError: It cannot be written.
+        """
+        at = round(_PER_S * (exposure.exposed_s - self._begin_s))
+        if at < 0:
+            return
+        image = np.ascontiguousarray(exposure.image[: self._size[0], : self._size[1]])
+        frame = self._av.VideoFrame.from_ndarray(image, format="rgb24")
+        frame.pts, frame.time_base = at, Fraction(1, _PER_S)
+        try:
+            self._file.mux(self._stream.encode(frame))
+        except self._errors as error:
+            raise RecordingError(f"cannot write {self._path}: {error}") from error
+
+    def close(self) -> None:
+        """Complete the file.
+
+        Raises:
+            RecordingError: It cannot be written.
+        """
+        try:
+            self._file.mux(self._stream.encode(None))
+            self._file.close()
+        except self._errors as error:
+            raise RecordingError(f"cannot complete {self._path}: {error}") from error
+
+
+def read_video(path: Path) -> Iterator[tuple[float, NDArray[np.uint8]]]:
+    """Yield the images of a recorded camera, (height, width, 3), with their times on the run's clock, to 1 µs.
+
+    Raises:
+        MissingExtraError: PyAV is not installed.
+        RecordingError: It is no such video.
+    """
+    av = _av()
+    try:
+        with av.open(f"file:{path}", options={"protocol_whitelist": "file"}) as file:
+            for frame in file.decode(video=0):
+                yield float(frame.pts * frame.time_base), frame.to_ndarray(format="rgb24")
+    except (av.FFmpegError, OSError, ValueError, IndexError, TypeError) as error:
+        raise RecordingError(f"{path} is no video of a camera: {error}") from error

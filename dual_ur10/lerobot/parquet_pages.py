@@ -41,10 +41,11 @@ def check_sizes(path: Path, metadata: Any, sizes: Mapping[str, int]) -> int:
                 if name not in sizes:
                     continue
                 expected = group.num_rows * sizes[name]
-                if chunk.num_values != expected or _values_in(file, path, chunk) != expected:
+                found = chunk.num_values if chunk.num_values != expected else _values_in(file, path, chunk)
+                if found != expected:
                     raise DatasetError(
-                        f"{path}, {name}: the file is damaged, or not as it states: {group.num_rows} rows of "
-                        f"{sizes[name]} values each are not {expected} values in its pages. Copy it again"
+                        f"{path}, {name}: the file is damaged, or not as it states: {found} values in "
+                        f"{group.num_rows} rows, expected are {sizes[name]} in each. Copy it again"
                     )
                 total += expected
     return total

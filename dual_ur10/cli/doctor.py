@@ -81,6 +81,7 @@ def doctor(
 def _cameras(file: CellFile, pictures: Path | None) -> list[Finding]:
     """Check the cameras of a cell file, and write a picture of each."""
     from dual_ur10.sim2real.cameras.png import png
+    from dual_ur10.sim2real.cameras.video_record import file_name
     from dual_ur10.sim2real.commissioning.camera_check import check_cameras
 
     if not file.camera:
@@ -91,7 +92,7 @@ def _cameras(file: CellFile, pictures: Path | None) -> list[Finding]:
             pictures.mkdir(parents=True, exist_ok=True)
             for entry, each in zip(file.camera, checked, strict=True):
                 if each.picture is not None:
-                    (pictures / f"{entry.name.replace('/', '_')}.png").write_bytes(png(each.picture.image))
+                    (pictures / f"{file_name(entry.name)}.png").write_bytes(png(each.picture.image))
         except OSError as error:
             raise SettingsError(f"pictures cannot be written to {pictures}: {error}. Name another folder") from error
     return [each.finding for each in checked]

@@ -61,11 +61,11 @@ def _values_in(file: BinaryIO, path: Path, chunk: Any) -> int:
         file.seek(at)
         try:
             header, length = _struct(file.read(_LARGEST_HEADER), 0)
-            if header[1] in _DATA_PAGES:
-                found += header[_DATA_PAGES[header[1]]][1]
+            values = header[_DATA_PAGES[header[1]]][1] if header[1] in _DATA_PAGES else 0
+            if values < 0 or header[3] < 0:
+                raise ValueError(f"a page of {values} values in {header[3]} bytes")
+            found += values
             at += length + header[3]
-            if header[3] < 0:
-                raise ValueError(f"a page of {header[3]} bytes")
         except (IndexError, KeyError, TypeError, ValueError, RecursionError) as error:
             raise DatasetError(
                 f"cannot read {path}: the header of a page is damaged ({error}). Copy it again"

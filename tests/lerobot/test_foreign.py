@@ -188,6 +188,20 @@ def test_values_are_counted_before_they_are_unpacked(made, monkeypatch):
         read_dataset(made[1])
 
 
+def test_a_page_of_fewer_values_than_none_makes_up_for_no_other(made, tmp_path):
+    path = table_of(shutil.copytree(made[1], tmp_path / "dataset"))
+    chunk = next(
+        each
+        for each in map(pq.read_metadata(path).row_group(0).column, range(40))
+        if each.path_in_schema.startswith("action")
+    )
+    data, stated = bytearray(path.read_bytes()), varint(2 * chunk.num_values)
+    data[data.index(stated, chunk.data_page_offset)] |= 1  # the sign is the last bit
+    path.write_bytes(data)
+    with pytest.raises(DatasetError, match=rf"a page of -{chunk.num_values + 1} values"):
+        read_dataset(tmp_path / "dataset")
+
+
 @given(data=st.data())
 def test_damaged_pages_are_refused_by_name(data, tmp_path_factory, made):
     path = tmp_path_factory.getbasetemp() / "damaged.parquet"

@@ -7,22 +7,16 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from dual_ur10.errors import LinkError, MissingExtraError, SettingsError
+from dual_ur10.errors import LinkError, SettingsError
 from dual_ur10.sim2real.cameras.camera_source import CameraRequest, CameraSource, Exposure
+from dual_ur10.sim2real.cameras.pyav import pyav
 from dual_ur10.sim2real.cell_file.tables import FileCameraEntry, V4l2CameraEntry
 
+_USE: Final = "a camera or a video file"
 _OPEN_S, _READ_S = 5.0, 5.0
 _CLOCK_S: Final = 1.0  # from a driver's time stamp to now, on the same clock
 _LATE: Final = 2.0  # periods
 _MOST_LATE: Final = 250  # frames left out in a row: a machine that is too slow for a video shows late ones
-
-
-def _av() -> Any:
-    try:
-        import av
-    except ImportError:
-        raise MissingExtraError("PyAV", "cameras", "a camera or a video file") from None
-    return av
 
 
 class FileCamera(CameraSource):
@@ -37,7 +31,7 @@ class FileCamera(CameraSource):
     """
 
     def __init__(self, request: CameraRequest) -> None:
-        av, entry = _av(), request.entry
+        av, entry = pyav(_USE), request.entry
         if not isinstance(entry, FileCameraEntry):
             raise SettingsError(f"{request.where} is no camera of this kind")
         path = Path(entry.file)
@@ -111,7 +105,7 @@ class V4l2Camera(CameraSource):
     """
 
     def __init__(self, request: CameraRequest) -> None:
-        av, entry = _av(), request.entry
+        av, entry = pyav(_USE), request.entry
         if not isinstance(entry, V4l2CameraEntry):
             raise SettingsError(f"{request.where} is no camera of this kind")
         self._entry, self._clock, self._where = entry, request.system.clock, f"{request.where} at {entry.device}"

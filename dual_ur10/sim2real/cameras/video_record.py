@@ -10,9 +10,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.errors import MissingExtraError, RecordingError
+from dual_ur10.errors import RecordingError
 from dual_ur10.sim2real.cameras.camera_source import Exposure
+from dual_ur10.sim2real.cameras.pyav import pyav
 
+_USE: Final = "the record of a camera"
 _PER_S: Final = 1_000_000  # of the time base
 _OPTIONS: Final = {"preset": "ultrafast", "tune": "zerolatency", "crf": "23", "g": "30", "threads": "1"}
 # Readable up to the last second where its process was killed.
@@ -24,17 +26,14 @@ _CONTAINER: Final = {
 }
 
 
-def _av() -> Any:
-    try:
-        import av
-    except ImportError:
-        raise MissingExtraError("PyAV", "cameras", "the record of a camera") from None
-    return av
-
-
 def video_name(camera: str) -> str:
-    """Return the name of the video of a camera in the folder of a run."""
-    return f"camera_{camera.replace('/', '_')}.mp4"
+    """Return the name of the video of a camera in the folder of a run, another one for each camera."""
+    return f"camera_{file_name(camera)}.mp4"
+
+
+def file_name(camera: str) -> str:
+    """Return the name of a camera as a part of the name of a file. Cameras have no "-" in theirs."""
+    return camera.replace("/", "-")
 
 
 class VideoRecord:
@@ -51,7 +50,7 @@ class VideoRecord:
     """
 
     def __init__(self, path: Path, size: tuple[int, int], begin_s: float) -> None:
-        self._av, self._path, self._begin_s = _av(), path, begin_s
+        self._av, self._path, self._begin_s = pyav(_USE), path, begin_s
         self._size = size[0] // 2 * 2, size[1] // 2 * 2
         self._errors = (self._av.FFmpegError, OSError, ValueError)
         try:
@@ -100,7 +99,7 @@ def read_video(path: Path) -> Iterator[tuple[float, NDArray[np.uint8]]]:
         MissingExtraError: PyAV is not installed.
         RecordingError: It is no such video.
     """
-    av = _av()
+    av = pyav(_USE)
     try:
         with av.open(f"file:{path}", options={"protocol_whitelist": "file"}) as file:
             for frame in file.decode(video=0):

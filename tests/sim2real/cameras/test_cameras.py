@@ -463,6 +463,7 @@ def test_a_run_has_a_video_of_each_observed_camera_with_true_times(tmp_path):
         np.testing.assert_allclose(shown - begin_s, times, atol=5e-6)
         np.testing.assert_allclose(np.diff(times), 1 / rate_hz, atol=2e-6)
         assert len(found) > 4
+    assert video_name("left/wrist") != video_name("left_wrist")
 
 
 def test_a_video_is_readable_where_its_process_was_killed(tmp_path):

@@ -48,5 +48,5 @@ def test_the_command_lists_cameras_and_writes_pictures(tmp_path):
     )
     _, text = run("doctor", "--cell", str(path), "--json", "--pictures", str(tmp_path / "shown"))
     assert '"check": "camera left/wrist"' in text
-    image = np.asarray(Image.open(tmp_path / "shown" / "left_wrist.png"))
+    image = np.asarray(Image.open(tmp_path / "shown" / "left-wrist.png"))
     assert image.shape == (480, 640, 3)

@@ -45,7 +45,7 @@ def export_lerobot(
     cameras: Annotated[
         str | None,
         typer.Option(
-            "--cameras", metavar="NAMES", help="Images to render of simulated runs, such as front,left/wrist."
+            "--cameras", metavar="NAMES", help="Cameras, such as front,left/wrist: rendered of simulated runs."
         ),
     ] = None,
     size: Annotated[str, typer.Option("--size", metavar="WxH", help="Size of an image in pixels.")] = "640x480",

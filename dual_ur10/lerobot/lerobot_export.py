@@ -14,6 +14,7 @@ from dual_ur10.lerobot.dataset_writer import OWN, DatasetWriter
 from dual_ur10.lerobot.episode_frames import RecordedView, view_of_run
 from dual_ur10.lerobot.features import DatasetFeature, image_key, of_arms, words_of
 from dual_ur10.lerobot.image_video import ImageVideo, video_info
+from dual_ur10.lerobot.recorded_images import RecordedImages
 from dual_ur10.policies.training.demonstrations import KEPT, kept_of, runs_in
 from dual_ur10.sim2real.analysis.reconstruction import generator_text
 from dual_ur10.sim2real.analysis.replay import replay
@@ -72,7 +73,8 @@ def to_lerobot(
         runs: Runs of the same environment: their folders or files, see `runs_of`.
         folder: Folder to create.
         task: Description of the task in words; None: that of the environment's id.
-        cameras: Cameras whose images are rendered. Simulated runs are simulated again for them.
+        cameras: Cameras whose images the dataset has. Simulated runs are simulated again for them; those of
+            controllers have the videos that their cameras recorded.
         size: Height and width of an image.
         successful: Take only episodes that succeeded and, of a person's demonstrations, those that were kept.
         allow_partial: Also read what a kill or a fault left of a run.
@@ -99,10 +101,13 @@ def to_lerobot(
             run = first.pop() if first else read_run(path, allow_partial=allow_partial)  # one is held at a time
             _check_same(header, run.header, path)
             headers.append(to_metadata(replace(run.header, cell_file=None, cell_sha256=None, extra={})))
+            recorded = None
+            if cameras and run.header.source != "mujoco":
+                recorded = RecordedImages(path if path.is_dir() else path.parent, run, cameras, size)
             for place, success in _chosen(run, successful=successful).items():
                 episode = replace(run.episodes[place], success=success)
                 columns = view.columns(episode, f"episode {episode.number} of {path}")
-                images = _render(run, place, cameras, size, made) if cameras else {}
+                images = _images(run, place, recorded, cameras, size, made) if cameras else {}
                 made.add(columns, words, images)
                 episodes.append(_about(run, place, done, episode))
             on_run(done + 1, len(runs))
@@ -166,20 +171,20 @@ def _about(run: Run, place: int, number: int, episode: Episode) -> dict[str, Any
     }
 
 
-def _render(
-    run: Run, place: int, cameras: Sequence[str], size: tuple[int, int], made: DatasetWriter
+def _images(
+    run: Run,
+    place: int,
+    recorded: RecordedImages | None,
+    cameras: Sequence[str],
+    size: tuple[int, int],
+    made: DatasetWriter,
 ) -> dict[str, Statistics]:
-    """Simulate an episode again, and write the videos of its cameras.
+    """Write the videos of an episode's cameras, and return the statistics of their images.
 
     Raises:
-        RecordingError: It is no simulated run, or this simulation differs from it.
+        RecordingError: The simulation of the episode differs from it, or it was recorded without images.
         DatasetError: A video cannot be written.
     """
-    if run.header.source != "mujoco":
-        raise RecordingError(
-            f"the run is of a {run.header.source} cell: images are rendered of simulated runs alone. Leave --cameras "
-            "out"
-        )
     count = len(run.episodes[place].reward)
     wanted = set(sampled(count).tolist())
     pictures: dict[str, list[Any]] = {each: [] for each in cameras}
@@ -198,11 +203,24 @@ def _render(
                         pictures[camera].append(small(images[camera]).copy())
             seen += 1
 
-        shown = {"observation": "pixels", "cameras": tuple(cameras), "height": size[0], "width": size[1]}
-        found = replay(run, episode=place, keywords=shown, on_observation=draw)
+        if recorded is None:
+            _simulate(run, place, cameras, size, draw)
+        else:
+            for images in recorded.images(run.episodes[place]):
+                draw(images)
+    return {image_key(each): image_statistics(pictures[each]) for each in cameras}
+
+
+def _simulate(run: Run, place: int, cameras: Sequence[str], size: tuple[int, int], draw: Callable[[Any], None]) -> None:
+    """Simulate an episode again, and pass its images on.
+
+    Raises:
+        RecordingError: This simulation differs from it.
+    """
+    shown = {"observation": "pixels", "cameras": tuple(cameras), "height": size[0], "width": size[1]}
+    found = replay(run, episode=place, keywords=shown, on_observation=draw)
     if not found.is_exact:
         raise RecordingError(
             f"episode {place} cannot be rendered: simulated again, {found.difference}. Use the versions that recorded "
             "it, or leave --cameras out"
         )
-    return {image_key(each): image_statistics(pictures[each]) for each in cameras}

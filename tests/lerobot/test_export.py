@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import av
 import gymnasium as gym
 import numpy as np
 import pyarrow.parquet as pq
@@ -16,9 +17,12 @@ from dual_ur10.lerobot.column_statistics import QUANTILES, combined, statistics_
 from dual_ur10.lerobot.dataset_reader import read_dataset
 from dual_ur10.lerobot.features import ACTION, ENV_ACTION, ENVIRONMENT_STATE, STATE
 from dual_ur10.lerobot.lerobot_export import runs_of, to_lerobot
+from dual_ur10.lerobot.recorded_images import observed_s
 from dual_ur10.lerobot.resimulation import simulate_again
 from dual_ur10.policies.training.demonstrations import KEPT
+from dual_ur10.sim2real.cameras.pattern_camera import pattern_time_s
 from dual_ur10.sim2real.recording.reader import read_run
+from dual_ur10.testing import VirtualCell
 from tests.cli.command import run as command
 from tests.lerobot.conftest import STEPS, recorded
 
@@ -206,3 +210,41 @@ def test_the_commands_export_and_import(made, tmp_path):
     assert (code, "left_shoulder_pan.pos" in text, "episode 1" in text) == (0, True, False)
     assert command("import", "lerobot", str(tmp_path / "dataset"), "--set", "robot=ur5e")[0] == 2
     assert command("export", "lerobot", str(runs), "--out", str(tmp_path / "x"), "--size", "640")[0] == 2
+
+
+def test_a_run_of_controllers_has_the_images_that_its_cameras_took(tmp_path):
+    pattern = {"name": "front", "kind": "pattern", "rate_hz": 30.0}
+    shown = []
+    with VirtualCell(file={"camera": [pattern]}) as cell:
+        env = gym.make(
+            "dual_ur10:DualUR10/SineTracking-v0", cell=cell, observation="both", cameras="front", width=96, height=72,
+            record=tmp_path / "runs", confirm=lambda _: True,
+        )  # fmt: skip
+        for seed in range(2):
+            found, _ = env.reset(seed=seed)
+            for _ in range(8):
+                shown.append(pattern_time_s(found["pixels"]["front"]))
+                found, *_ = env.step(0.0 * env.action_space.sample())
+        begin_s = env.unwrapped.core._hook.recorder.begin_s
+        env.close()
+    (folder,) = (tmp_path / "runs").iterdir()
+    run = read_run(folder)
+    times = np.concatenate([observed_s(run, each) for each in run.episodes])
+    made = to_lerobot([folder], tmp_path / "dataset", cameras=("front",), size=(72, 96))
+    assert (made.episodes, made.frames) == (2, 16)
+    dataset = read_dataset(tmp_path / "dataset")
+    written = []
+    for video in sorted((dataset.folder / "videos").rglob("*.mp4")):
+        with av.open(str(video)) as file:
+            written += [pattern_time_s(frame.to_ndarray(format="rgb24")) for frame in file.decode(video=0)]
+    ages = times - (np.array(written) - begin_s)
+    assert ages.min() >= -1e-5  # none is newer than its observation
+    assert ages.max() <= 1 / 30 + 1e-5
+    # The policy saw the same, or the next one where that came while the state was read.
+    later = (np.array(shown) - np.array(written)) * 30.0
+    assert set(np.rint(later)) <= {0.0, 1.0}
+    assert np.mean(np.rint(later)) < 0.2
+    with pytest.raises(RecordingError, match="recorded without images of that camera"):
+        to_lerobot([folder], tmp_path / "other", cameras=("side",), size=(72, 96))
+    with pytest.raises(RecordingError, match="its images are 96 x 72 pixels, and 98 x 72 are asked for"):
+        to_lerobot([folder], tmp_path / "other", cameras=("front",), size=(72, 98))

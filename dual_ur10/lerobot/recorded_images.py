@@ -88,8 +88,8 @@ class _Playback:
 def observed_s(run: Run, episode: Episode) -> Array:
     """Return the times on the run's clock of the observations before the m steps of an episode, (m,).
 
-    The first is that of the reset. The others follow from when the first target of each step was sent, and the latency of
-    actions: they are the ends of control periods, up to a period before the states arrived.
+    The first is that of the reset. The others follow from when the first target of each step was sent, and the latency
+    of actions: they are the ends of control periods, up to a period before the states arrived.
 
     Raises:
         RecordingError: Too few targets are known.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterable
 from typing import Final
 
 import numpy as np
@@ -27,6 +29,7 @@ class CameraMemory:
         name: Name of existing memory; None: create it.
 
     Attributes:
+        size: As given.
         name: Name by which another process opens it.
     """
 
@@ -40,6 +43,7 @@ class CameraMemory:
             "begin": (np.float64, (1,)),
             "failure": (np.uint8, (_TEXT,)),
         }
+        self.size = size
         self._block = SharedBlock(layout, name)
         self.name = self._block.name
         self._view()
@@ -135,3 +139,17 @@ class CameraMemory:
         """Release the memory. May be called twice."""
         self._block.close()
         self._view()
+
+
+def described(camera: str, memory: CameraMemory) -> str:
+    """Return a text from which another process opens the memory of a camera."""
+    return json.dumps([camera, memory.name, *memory.size])
+
+
+def opened(texts: Iterable[str]) -> dict[str, CameraMemory]:
+    """Return the memories of cameras by their names, as `described` has them."""
+    found = {}
+    for text in texts:
+        camera, name, height, width = json.loads(text)
+        found[camera] = CameraMemory((height, width), name)
+    return found

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from dual_ur10.assets.visuals import cameras as camera_names
 from dual_ur10.errors import CellFileError, UnknownNameError
+from dual_ur10.sim2real.cameras.camera_memory import described
 from dual_ur10.sim2real.cameras.camera_process import CameraProcess, ready
 from dual_ur10.sim2real.cameras.camera_source import CameraRequest
 from dual_ur10.sim2real.cameras.video_record import video_name
@@ -93,6 +94,11 @@ class CameraSet(Closing):
         """
         for each in self._cameras:
             each.memory.record(str(folder.resolve() / video_name(each.request.entry.name)), begin_s)
+
+    @property
+    def memories(self) -> tuple[str, ...]:
+        """Texts from which a live page opens their memories."""
+        return tuple(described(each.request.entry.name, each.memory) for each in self._cameras)
 
     @property
     def processes(self) -> Sequence[CameraProcess]:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
+from dual_ur10.sim2real.cameras.camera_memory import opened
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
 from ur_core.kinematics.ur10 import ARMS
@@ -18,9 +20,11 @@ class LiveView:
         left: Name of the memory of the left arm.
         right: Name of that of the right arm.
         cell: Name of that of the cell.
+        cameras: Observed cameras, as `CameraSet.memories` has them.
     """
 
-    def __init__(self, left: str, right: str, cell: str) -> None:
+    def __init__(self, left: str, right: str, cell: str, *cameras: str) -> None:
+        self._cameras = opened(cameras)
         self._cell = CellMemory(cell)
         self._arms = ArmMemory(left), ArmMemory(right)
         self._seen = [memory.sent_count for memory in self._arms]
@@ -71,7 +75,15 @@ class LiveView:
         self._unmatched = [{period: at for period, at in each.items() if period > newest} for each in (left, right)]
         return late, skew
 
+    def images(self, now_s: float) -> dict[str, NDArray[np.uint8]]:
+        """Return the newest image of each observed camera, by its name; none of one that has sent none."""
+        found = {name: memory.newest(now_s) for name, memory in self._cameras.items()}
+        return {name: each.image for name, each in found.items() if each is not None}
+
     def close(self) -> None:
         """Release the memories."""
-        for each in (self._cell, *self._arms):
-            each.close()
+        self._cell.close()
+        for arm in self._arms:
+            arm.close()
+        for camera in self._cameras.values():
+            camera.close()

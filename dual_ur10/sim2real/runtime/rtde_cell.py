@@ -368,7 +368,8 @@ class RtdeCell:
     @property
     def live_view(self) -> tuple[str, ...]:
         """Path of the view of a live page's process, and the names of the memories that it reads."""
-        return "dual_ur10.sim2real.runtime.live_view:LiveView", *self.memory_names, self._open.cell.name
+        cameras = () if self.images is None else self.images.memories
+        return "dual_ur10.sim2real.runtime.live_view:LiveView", *self.memory_names, self._open.cell.name, *cameras
 
     def record(self) -> None:
         """Do nothing: the arms' memories hold the record."""

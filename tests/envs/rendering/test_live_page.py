@@ -26,6 +26,7 @@ from dual_ur10.envs.rendering.live.about import About
 from dual_ur10.envs.rendering.live.buttons import BUTTONS, EPISODES, POLICIES, SPEEDS, TAKES
 from dual_ur10.envs.rendering.live.commander import GRIP_S, Commander
 from dual_ur10.envs.rendering.live.drag_handles import DragHandles
+from dual_ur10.envs.rendering.live.drawing import Pictures
 from dual_ur10.envs.rendering.live.guard import LOOPBACK, bind, make_server
 from dual_ur10.envs.rendering.live.history import History
 from dual_ur10.envs.rendering.live.live_page import HANGS_S, LivePage
@@ -39,6 +40,8 @@ from dual_ur10.envs.rendering.live.viewpoints import CAMERA, NARROW_CAMERA, look
 from dual_ur10.errors import DeviceUnpluggedError, MissingExtraError, SettingsError
 from dual_ur10.policies.operators.device import checked
 from dual_ur10.policies.operators.page import PageDevice
+from dual_ur10.sim2real.cameras.camera_memory import CameraMemory, described
+from dual_ur10.sim2real.cameras.camera_source import Exposure
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
 from dual_ur10.sim2real.runtime.live_view import LiveView
@@ -633,6 +636,29 @@ def test_a_stop_before_the_arms_are_known_is_latched_once_they_are(served, contr
     memory.attach((VIEW, arms[0].name, arms[1].name, cell.name))
     page.poll()
     assert "live page" in cell.fault
+
+
+def test_images_of_observed_cameras_take_the_place_of_those_of_the_model(controllers):
+    arms, cell, _ = controllers
+    cameras = {name: CameraMemory((2, 4)) for name in ("front", "left/wrist")}
+    texts = [described(name, memory) for name, memory in cameras.items()]
+    found = LiveView(arms[0].name, arms[1].name, cell.name, *texts)
+    assert found.images(1.0) == {}
+    cameras["front"].put(Exposure(np.full((2, 4, 3), 7, np.uint8), 0.5))
+    (taken,) = found.images(1.0).items()
+    assert taken[0] == "front"
+    gui = types.SimpleNamespace(
+        add_folder=lambda *_, **__: contextlib.nullcontext(), add_image=lambda *_, **__: types.SimpleNamespace()
+    )
+    pictures = Pictures(gui, types.SimpleNamespace(cameras=("front", "side")), None)
+    asked = []
+    pictures._draw = lambda data, names: asked.append(names)
+    pictures.draw(None, lambda: 1.0, found.images)
+    assert (pictures._shown["front"].image == 7).all()
+    assert asked == [["side"]]
+    found.close()
+    for each in cameras.values():
+        each.close()
 
 
 def test_delays_and_skew_come_from_what_was_sent(controllers):

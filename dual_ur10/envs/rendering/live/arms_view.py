@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 
 class ArmsView(Protocol):
     """View of a cell whose arms another process moves.
@@ -23,6 +26,9 @@ class ArmsView(Protocol):
 
         Both in ms; NaN: nothing was sent.
         """
+
+    def images(self, now_s: float) -> dict[str, NDArray[np.uint8]]:
+        """Return the newest images of observed cameras, (height, width, 3), by name."""
 
     def stop(self, reason: str) -> None:
         """Latch a stop of both arms. May be called in any thread."""

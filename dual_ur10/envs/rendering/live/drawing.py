@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dual_ur10.envs.rendering.images import Canvas
 from dual_ur10.envs.rendering.live.about import About
@@ -112,19 +113,40 @@ class Pictures:
         with gui.add_folder("Cameras", expand_by_default=True) if about.cameras else contextlib.nullcontext():
             self._shown = {name: gui.add_image(blank, label=name, format="jpeg") for name in about.cameras}
 
-    def draw(self, data: Any, now_s: Callable[[], float]) -> None:
-        """Draw the images if they are due."""
+    def draw(
+        self, data: Any, now_s: Callable[[], float], taken: Callable[[float], Mapping[str, NDArray[np.uint8]]]
+    ) -> None:
+        """Show the images if they are due.
+
+        Args:
+            data: Data of the model, with the poses of its bodies.
+            now_s: Function that returns the time.
+            taken: Function of the time that returns images of cameras by their names; the others are drawn.
+        """
         begun_s = now_s()
-        if not self._shown or self.failure or begun_s < self._due_s:
+        if not self._shown or begun_s < self._due_s:
             return
+        images = taken(begun_s)
+        for name in self._shown.keys() & images.keys():
+            self._shown[name].image = images[name]
+        others = [name for name in self._shown if name not in images]
+        if others and not self.failure:
+            try:
+                self._draw(data, others)
+            except RenderError as error:
+                self.failure = str(error)
+        self._due_s = begun_s + max(_IMAGE_S, (now_s() - begun_s) / _IMAGE_SHARE)
+
+    def _draw(self, data: Any, names: list[str]) -> None:
+        """Draw images of the model.
+
+        Raises:
+            RenderError: No OpenGL backend was found.
+        """
         import mujoco
 
-        try:
-            if self._canvas is None:
-                self._canvas = Canvas(self._model, *_IMAGE_SIZE)
-            mujoco.mj_camlight(self._model, data)
-            for name, shown in self._shown.items():
-                shown.image = self._canvas.image(data, name)
-        except RenderError as error:
-            self.failure = str(error)
-        self._due_s = begun_s + max(_IMAGE_S, (now_s() - begun_s) / _IMAGE_SHARE)
+        if self._canvas is None:
+            self._canvas = Canvas(self._model, *_IMAGE_SIZE)
+        mujoco.mj_camlight(self._model, data)
+        for name in names:
+            self._shown[name].image = self._canvas.image(data, name)

@@ -7,6 +7,9 @@ import math
 import os
 from typing import Any, Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from dual_ur10.assets.scene import build_model
 from dual_ur10.assets.settings import home_q_rad
 from dual_ur10.envs.rendering.live.about import About
@@ -120,7 +123,10 @@ class Page:
             if self._polls % _PLOTS_EVERY == 0:
                 self._plots.draw(now_s)
             if self._row is not None and memory.pages:
-                self._pictures.draw(self._poser.data, self._clock.now_s)
+                self._pictures.draw(self._poser.data, self._clock.now_s, self._taken)
+
+    def _taken(self, now_s: float) -> dict[str, NDArray[np.uint8]]:
+        return {} if self._arms is None else self._arms.images(now_s)
 
     def _say(self, now_s: float) -> None:
         words = self._memory.words

@@ -39,7 +39,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # simulated observations are
 from demo.carry import CARRY_ID, TASK
 from demo.case import Case
 from dual_ur10 import ArmMount, CellConfig
-from dual_ur10.sim2real.calibration.estimate import LEVEL, BaseEstimate, estimate
+from dual_ur10.sim2real.calibration.estimate import BaseEstimate, estimate
+from dual_ur10.sim2real.calibration.intervals import LEVEL
 from dual_ur10.sim2real.calibration.observations import BarPose, Noise, Observation, Touch
 from dual_ur10.sim2real.calibration.recording import touched
 from dual_ur10.sim2real.calibration.suggestions import bar_candidates, best, plan, touch_candidates

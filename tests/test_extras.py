@@ -54,9 +54,9 @@ def without_emulator(_, monkeypatch):
 # Extra, package that is missing, and what needs it.
 USES = (
     ("calibration", "cv2", called("dual_ur10.sim2real.calibration.board:opencv")),
-    ("calibration", "scipy.stats", called("dual_ur10.sim2real.calibration.estimate:_scipy", "stats")),
+    ("calibration", "scipy.stats", called("dual_ur10.sim2real.calibration.intervals:scipy_module", "stats")),
     ("calibration", "yaml", read("dual_ur10.sim2real.calibration.ur_calibration:read", "ur10")),
-    ("cameras", "av", called("dual_ur10.sim2real.cameras.video_camera:_av")),
+    ("cameras", "av", called("dual_ur10.sim2real.cameras.pyav:pyav", "a video")),
     ("data", "minari", called("dual_ur10.policies.evaluation.minari_export:to_minari", [], "x-v0")),
     ("dm", "dm_env", imported("dual_ur10.envs.api.dm_env")),
     ("dynamics", "pinocchio", called("ur_core.kinematics.dynamics:_model", "ur10", 0.123, (0.0, 0.0, 0.0), True)),

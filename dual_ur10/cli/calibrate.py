@@ -75,6 +75,10 @@ def calibrate(
     accept_m: _AcceptM = 0.001,
     moved: _Moved = False,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of simulated touches.")] = 0,
+    camera: Annotated[
+        str | None,
+        typer.Option("--camera", metavar="NAME", help="Calibrate this camera of FILE from images of a board instead."),
+    ] = None,
 ) -> None:
     """Estimate where the right base stands in the left one's frame, with its uncertainty. Moves nothing."""
     check_extras(("calibration", "an estimate of the bases"))
@@ -93,6 +97,11 @@ def calibrate(
     near = right_in_left(cell.left.mount, cell.right.mount)
     tables = _kinematics(cell, kinematics or ())
     dh = (_dh(cell, tables, ARMS[0]), _dh(cell, tables, ARMS[1]))
+    if camera is not None:
+        if record is not None or touch is not None or suggest or out is not None:
+            raise SettingsError("--camera takes --data, --kinematics and --write alone: leave the others out")
+        _calibrate_camera(file, data, camera, cell, dh, write=write)
+        return
     if touch is not None:
         _simulate(cell, data, touch, dh, near, seed)
     if record is not None:
@@ -118,6 +127,44 @@ def calibrate(
         kept = write_bases(file, found, data, day=day, kinematics=tables, accept_m=accept_m, out=out, moved=moved)
         where = f"wrote {out}" if kept is None else f"wrote {file}; as it was: {kept}"
         console.print(where, soft_wrap=True, highlight=False, markup=False)
+
+
+def _calibrate_camera(
+    file: Path, data: Path, name: str, cell: CellFile, dh: tuple[DHParameters, DHParameters], *, write: bool
+) -> None:
+    """Estimate intrinsics and pose of a camera from images of a board."""
+    import numpy as np
+
+    from dual_ur10.sim2real.analysis.cell_update import write_camera
+    from dual_ur10.sim2real.calibration import data_file
+    from dual_ur10.sim2real.calibration.camera_pose import BODY, body_in_cell, estimate_camera
+
+    def frame(carrier: str, joints: tuple[Any, Any]) -> Any:
+        if carrier not in ARMS:
+            return np.eye(4)
+        arm = ARMS.index(carrier)
+        return body_in_cell(cell.arms[arm].mount, joints[arm], dh[arm])
+
+    views, size, carrier = data_file.read(data).corner_views(data.parent, frame)
+    found = estimate_camera(views, size)
+    body = f"{carrier}/{BODY}" if carrier in ARMS else ""
+    table = Table(header_style="bold", title=f"camera {name} in the frame of {body or 'the cell'}")
+    for header in ("", "estimate", "95 % interval"):
+        table.add_column(header, justify="left" if not header else "right")
+    widths = found.half_widths
+    for k, axis in enumerate("xyz"):
+        table.add_row(f"{axis}, mm", f"{1e3 * found.pose[k, 3]:.2f}", f"± {1e3 * widths[k]:.2f}")
+    for k, axis in enumerate("xyz"):
+        table.add_row(f"rotation about {axis}, °", "", f"± {math.degrees(widths[3 + k]):.3f}")
+    fx, fy, cx, cy = found.intrinsics.matrix_px
+    table.add_row("fx, fy, px", f"{fx:.1f}, {fy:.1f}", "")
+    table.add_row("cx, cy, px", f"{cx:.1f}, {cy:.1f}", "")
+    table.add_row("field of view, °", f"{math.degrees(found.fovy_rad):.2f}", "")
+    console.print(table)
+    console.print(f"{len(views)} images, {found.rms_px:.2f} px RMS", highlight=False)
+    if write:
+        kept = write_camera(file, name, found.camera(name.rpartition("/")[2], body))
+        console.print(f"wrote {file}; as it was: {kept}", soft_wrap=True, highlight=False, markup=False)
 
 
 def _dh(cell: CellFile, tables: dict[str, Calibration], arm: str) -> DHParameters:

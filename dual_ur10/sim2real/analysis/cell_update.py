@@ -22,6 +22,7 @@ from dual_ur10.sim2real.recording.run import Header
 from ur_core.files import check_target, write_text
 from ur_core.kinematics.frames import ArmMount
 from ur_core.kinematics.ur10 import ARMS, DHParameters
+from ur_core.mjcf.camera import Camera
 from ur_core.servoj import MEASURED_LOOKAHEAD_S
 
 try:
@@ -66,6 +67,48 @@ def write_back(path: str | Path, header: Header, found: Sequence[ArmFit]) -> Pat
             _table(document[arm], "measured").update({"lookahead_s": each.lookahead_s, "latency_s": each.latency_s})
 
     updated = _updated(text, cell.replace(left=left, right=right), put, for_hand)
+    kept = _keep(target)
+    write_text(target, updated)
+    return kept
+
+
+def write_camera(path: str | Path, camera: str, found: Camera) -> Path:
+    """Write the pose and field of view of a camera into its table of a cell file. The former file is kept.
+
+    Args:
+        path: The cell file.
+        camera: Name of the camera.
+        found: The camera as a scene has it.
+
+    Returns:
+        Path of the backup.
+
+    Raises:
+        CellFileError: The file has no such camera, is not legal, or would not be. Nothing is written.
+        DualUR10Error: A file cannot be written. The cell file is unchanged.
+    """
+    target = check_target(path)
+    cell = load_cell_file(target)
+    places = [number for number, each in enumerate(cell.camera) if each.name == camera]
+    if not places:
+        raise CellFileError(
+            f"{path} has no camera {camera!r}: add a table [[camera]] with that name and its kind. Nothing was written"
+        )
+    values = {
+        "position_m": found.position_m,
+        "target_m": found.target_m,
+        "up": found.up,
+        "fovy_rad": round(math.radians(found.fovy_deg), _DIGITS),
+        "body": found.body,
+    }
+    entries = list(cell.camera)
+    entries[places[0]] = entries[places[0]].replace(**values)
+
+    def put(document: Any) -> None:
+        document["camera"][places[0]].update(_plain(values))
+
+    text = target.read_bytes().decode("utf-8")
+    updated = _updated(text, cell.replace(camera=tuple(entries)), put, str(_plain(values)))
     kept = _keep(target)
     write_text(target, updated)
     return kept

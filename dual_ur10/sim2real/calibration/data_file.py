@@ -7,16 +7,19 @@ the kinematics of the arms come from the cell file whenever an estimate is made.
 from __future__ import annotations
 
 import datetime
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from dual_ur10.errors import CalibrationError
-from dual_ur10.sim2real.calibration.board import Board, Intrinsics, calibrated_camera, located
+from dual_ur10.sim2real.calibration.board import Board, Intrinsics, calibrated_camera, corners, located, read_image
+from dual_ur10.sim2real.calibration.camera_pose import CornerView
 from dual_ur10.sim2real.calibration.observations import BarPose, BoardView, Carrier, Noise, Observation, Touch
 from ur_core.files import read_named, write_text
 from ur_core.findings import listed
+from ur_core.types import Array
 
 MAX_BYTES: Final = 4 << 20
 MAX_OBSERVATIONS: Final = 2000
@@ -141,6 +144,43 @@ class DataFile(_Entry):
             except CalibrationError as error:
                 raise CalibrationError(f"observation {number}: {error}") from error
         return found
+
+    def corner_views(
+        self, folder: Path, frame: Callable[[Carrier, tuple[Six | None, Six | None]], Array]
+    ) -> tuple[list[CornerView], tuple[int, int], Carrier]:
+        """Return the corners of the board in all images of one camera.
+
+        Args:
+            folder: Folder that image names start from.
+            frame: Function of a carrier and the joint angles of both arms that returns its pose, (4, 4), in the cell.
+
+        Returns:
+            The views, height and width of the images, and what the camera is mounted on.
+
+        Raises:
+            CalibrationError: There are no images or no board, they are of several cameras, or an image does not show
+                the board.
+            MissingExtraError: OpenCV is not installed.
+        """
+        entries = [each for each in self.observations if isinstance(each, ViewEntry) and each.image is not None]
+        carriers = {each.camera_on for each in entries}
+        if self.board is None or not entries:
+            raise CalibrationError("a camera is calibrated from `board` and observations with an `image`: add them")
+        if len(carriers) > 1:
+            raise CalibrationError(
+                f"the images are of cameras on {' and '.join(sorted(carriers))}: use a data file for each camera"
+            )
+        board, sizes, views = Board(**self.board.model_dump()), set(), []
+        for entry in entries:
+            image = read_image(folder / str(entry.image))
+            sizes.add((int(image.shape[0]), int(image.shape[1])))
+            on_board, in_image = corners(image, board, str(entry.image))
+            joints = entry.left_q_rad, entry.right_q_rad
+            BoardView(entry.camera_on, entry.board_on, *joints, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))  # checks them
+            views.append(CornerView(frame(entry.camera_on, joints), frame(entry.board_on, joints), on_board, in_image))
+        if len(sizes) > 1:
+            raise CalibrationError("the images differ in size: they are not of one camera. Take them again")
+        return views, sizes.pop(), carriers.pop()
 
     def _measured(self, entry: Any, folder: Path, cameras: dict[Carrier, Intrinsics]) -> Observation:
         if isinstance(entry, TouchEntry):

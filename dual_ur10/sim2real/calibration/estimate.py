@@ -7,27 +7,23 @@ noise follows from the residuals, so that intervals are Student's and Fisher's, 
 
 from __future__ import annotations
 
-import importlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from dual_ur10.errors import CalibrationError, MissingExtraError
+from dual_ur10.errors import CalibrationError
 from dual_ur10.sim2real.calibration.directions import LEVER_M, SCALES, Direction, weakest
 from dual_ur10.sim2real.calibration.equations import Equations
+from dual_ur10.sim2real.calibration.intervals import PoseInterval, scipy_module
 from dual_ur10.sim2real.calibration.observations import Noise, Observation
 from dual_ur10.sim2real.calibration.transforms import base_in_cell, rotation_of, rotvec_of
 from ur_core.kinematics.frames import BASE_TO_BASE_LINK, ArmMount, yaw_and_tilt
 from ur_core.kinematics.rotations import quat_from_matrix
 from ur_core.kinematics.ur10 import DHParameters
 from ur_core.types import Array, Mask
-
-LEVEL: Final = 0.95
-"""Confidence of all stated intervals."""
 
 UNDETERMINED_M: Final = 0.02
 """Standard deviation at 1 m, at the stated noise, from which a direction counts as undetermined."""
@@ -48,13 +44,6 @@ _CONTRADICTED: Final = 1e-3
 
 _BOARD_SIZE: Final = 0.01
 """Error of a board's size from which it is refused: 5 mm at a distance of 0.5 m."""
-
-
-def _scipy(module: str) -> Any:
-    try:
-        return importlib.import_module(f"scipy.{module}")  # late, because it takes a second
-    except ImportError:
-        raise MissingExtraError("scipy", "calibration", "an estimate of the bases") from None
 
 
 _LEAST_SCALE: Final = 0.1  # of the stated noise: residuals of zero would state an exact result
@@ -80,7 +69,7 @@ class Residual(NamedTuple):
 
 
 @dataclass(frozen=True)
-class BaseEstimate:
+class BaseEstimate(PoseInterval):
     """Pose of the right arm's `base` in the left arm's `base`.
 
     Attributes:
@@ -122,30 +111,6 @@ class BaseEstimate:
         """Return True if the estimate is farther from a pose (4, 4) than `FAR_M` or `FAR_RAD`."""
         distance_m, angle_rad = self.distance_from(pose)
         return distance_m > FAR_M or angle_rad > FAR_RAD
-
-    @cached_property
-    def half_widths(self) -> Array:
-        """(6,) half widths of the 95 % interval of each component: three of position (m), three of rotation (rad)."""
-        stats = _scipy("stats")
-
-        widths: Array = stats.t.ppf(0.5 + LEVEL / 2, self.degrees_of_freedom) * np.sqrt(np.diag(self.covariance))
-        return widths
-
-    @cached_property
-    def position_bound_m(self) -> float:
-        """Radius of a ball that holds the 95 % region of the position."""
-        return self._bound(slice(0, 3))
-
-    @cached_property
-    def rotation_bound_rad(self) -> float:
-        """Radius of a ball that holds the 95 % region of the rotation vector."""
-        return self._bound(slice(3, 6))
-
-    def _bound(self, part: slice) -> float:
-        stats = _scipy("stats")
-
-        largest = float(np.linalg.eigvalsh(self.covariance[part, part])[-1])
-        return math.sqrt(3 * stats.f.ppf(LEVEL, 3, self.degrees_of_freedom) * largest)
 
     @property
     def yaw_rad(self) -> float:
@@ -274,7 +239,7 @@ def _chosen(equations: Equations, kept: Mask) -> Array:
 
 def _solved(equations: Equations, start: Array, kept: Mask, loss: str = "linear") -> _Fit:
     """Solve for the poses; residuals and Jacobian are those of all observations."""
-    least_squares = _scipy("optimize").least_squares
+    least_squares = scipy_module("optimize").least_squares
 
     rows, scale = _chosen(equations, kept), np.tile(1 / SCALES, len(start))
 
@@ -325,8 +290,8 @@ def _check_determined(equations: Equations, fit: _Fit, kept: Mask, observations:
 
 def _check_board_size(equations: Equations, fit: _Fit, kept: Mask) -> None:
     """Refuse views whose distances all are too large or too small by one factor: the board is of another size."""
-    stats = _scipy("stats")
-    least_squares = _scipy("optimize").least_squares
+    stats = scipy_module("stats")
+    least_squares = scipy_module("optimize").least_squares
 
     rows = _chosen(equations, kept)
     freedom = len(rows) - fit.jacobian.shape[1] - 1
@@ -381,7 +346,7 @@ def _kept(equations: Equations, robust: _Fit) -> Mask:
     The start are those close to the robust solution. Then the worst of them is taken out, or one of the others put
     back, until all of them agree.
     """
-    stats = _scipy("stats")
+    stats = scipy_module("stats")
 
     sizes = np.array([rows.stop - rows.start for rows in equations.rows])
     squares = np.array([robust.residuals[rows] @ robust.residuals[rows] for rows in equations.rows])
@@ -414,7 +379,7 @@ def _probabilities(equations: Equations, fit: _Fit, kept: Mask) -> Array:
 
     An F test of its residuals against those of the other kept observations, whose estimate predicts them.
     """
-    stats = _scipy("stats")
+    stats = scipy_module("stats")
 
     rows = _chosen(equations, kept)
     inside, jacobian = fit.residuals[rows], fit.jacobian[rows]

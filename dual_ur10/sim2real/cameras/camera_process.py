@@ -51,7 +51,7 @@ class CameraProcess(Closing):
         self.request, self._clock = request, request.system.clock
         rate_hz = math.inf if isinstance(request.entry, FileCameraEntry) else request.entry.rate_hz
         self._stale_s = max(STALE_S, _STALE_PERIODS / rate_hz)
-        self.memory = CameraMemory(request.size)
+        self.memory = CameraMemory(request.kept)
         self._process: Process = request.system.spawn(
             main,
             self.memory.name,
@@ -124,7 +124,7 @@ def main(name: str, request: CameraRequest, parent: int, *, system: System = LOC
     """
     system.ignore_interrupts()  # the program handles them, and ends the camera
     system.give_way()
-    memory = CameraMemory(request.size, name)
+    memory = CameraMemory(request.kept, name)
     request = dataclasses.replace(request, system=system)
     over = system.event()
 
@@ -199,7 +199,8 @@ def _run(source: CameraSource, memory: CameraMemory, request: CameraRequest, par
             )
         height, width = image.shape[:2]
         if own is None:
-            check_fits((height, width), request.size, request.where)
+            if request.observed:
+                check_fits((height, width), request.size, request.where)
             own = height, width
         if (height, width) != own:
             raise LinkError(
@@ -212,7 +213,8 @@ def _run(source: CameraSource, memory: CameraMemory, request: CameraRequest, par
         if exposed_s <= last_s:
             continue  # the same image again
         last_s = exposed_s
-        memory.put(Exposure(resized(image, request.size), float(exposed_s)))
+        kept = resized(image, request.size) if request.observed else np.zeros((*request.kept, 3), np.uint8)
+        memory.put(Exposure(kept, float(exposed_s)))
         video.add(Exposure(image, float(exposed_s)))  # at its own size
 
 

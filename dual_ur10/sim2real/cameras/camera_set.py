@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import logging
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 from dual_ur10.assets.visuals import cameras as camera_names
 from dual_ur10.errors import CellFileError, UnknownNameError
 from dual_ur10.sim2real.cameras.camera_memory import described
 from dual_ur10.sim2real.cameras.camera_process import CameraProcess, ready
 from dual_ur10.sim2real.cameras.camera_source import CameraRequest
-from dual_ur10.sim2real.cameras.video_record import video_name
 from dual_ur10.sim2real.cell.cell import SeenImage
 from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.cell_file.cell_file import CellFile
@@ -20,8 +17,6 @@ from dual_ur10.sim2real.cell_file.tables import CameraEntry, EmulatedCameraEntry
 from ur_core.mjcf.camera import Camera
 from ur_core.processes.system import LOCAL, System
 from ur_core.types import Closing
-
-log = logging.getLogger(__name__)
 
 
 class CameraSet(Closing):
@@ -64,7 +59,6 @@ class CameraSet(Closing):
         self.seen: Mapping[str, SeenImage] = {}
         self.looked_s = system.clock.now_s()
         self._cameras: list[CameraProcess] = []
-        self._warned: list[CameraProcess] = []
         with contextlib.ExitStack() as made:
             for entry in entries:
                 request = CameraRequest(entry=entry, file=file, size=size, views=views, system=system)
@@ -80,20 +74,6 @@ class CameraSet(Closing):
         """
         self.seen = {each.request.entry.name: SeenImage(*each.newest(now_s)) for each in self._cameras}
         self.looked_s = now_s
-        for each in self._cameras:
-            if each not in self._warned and each.memory.failure:
-                self._warned.append(each)
-                log.warning("%s is not recorded any more: %s. The run goes on", each.where, each.memory.failure)
-
-    def record(self, folder: Path, begin_s: float) -> None:
-        """Let each camera write a video into the folder of a run, from its next image on.
-
-        Args:
-            folder: Existing folder.
-            begin_s: Zero of the run's clock on the system's clock.
-        """
-        for each in self._cameras:
-            each.memory.record(str(folder.resolve() / video_name(each.request.entry.name)), begin_s)
 
     @property
     def memories(self) -> tuple[str, ...]:

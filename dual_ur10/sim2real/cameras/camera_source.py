@@ -51,6 +51,7 @@ class CameraRequest:
         file: The cell file.
         size: Height and width of the images that are wanted. A camera whose own images have another size gives those.
         views: Cameras that the program added to the scene.
+        observed: False: its images are recorded only, at their own size.
         system: Clock and network of the camera's process.
     """
 
@@ -58,7 +59,13 @@ class CameraRequest:
     file: CellFile
     size: tuple[int, int]
     views: tuple[Camera, ...] = ()
+    observed: bool = True
     system: System = LOCAL
+
+    @property
+    def kept(self) -> tuple[int, int]:
+        """Height and width of the images in memory."""
+        return self.size if self.observed else (1, 1)
 
     @property
     def where(self) -> str:

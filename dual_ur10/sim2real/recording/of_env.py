@@ -114,6 +114,6 @@ def _record_arms(cell: RtdeCell, header: Header, folder: Path | None) -> Recorde
     boxes.mkdir(mode=0o700, exist_ok=True)
     recorder = RecorderProcess(cell.memory_names, folder, header, boxes, system=cell.system)
     recorder.wait_until_ready()
-    if folder is not None and cell.images is not None:
-        cell.images.record(folder, recorder.begin_s)
+    if folder is not None:
+        cell.record_cameras(folder, recorder.begin_s, recorder.event)
     return recorder

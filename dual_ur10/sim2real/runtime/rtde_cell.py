@@ -10,13 +10,15 @@ from __future__ import annotations
 import logging
 import math
 import weakref
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
+from pathlib import Path
 from typing import Any, Final, NoReturn
 
 import numpy as np
 
 from dual_ur10.errors import ClosedError, DualUR10Error, LinkError, SettingsError, StartError
+from dual_ur10.sim2real.cameras.camera_record import CameraRecord
 from dual_ur10.sim2real.cameras.camera_set import CameraSet
 from dual_ur10.sim2real.cell.cell import CellRequest, CellState, CellStep, Start
 from dual_ur10.sim2real.cell.cell_config import CellConfig
@@ -132,6 +134,7 @@ class RtdeCell:
         self._trackers: dict[str, ObjectTracker] = {}
         self._observed, self._views, self._image_size = tuple(cameras), views, image_size
         self.images: CameraSet | None = None
+        self._camera_record: CameraRecord | None = None
         self._frames = Frames((config.left, config.right))
         self._placer: ObjectPlacer | None = None
         self._garbage = system.garbage()
@@ -350,7 +353,7 @@ class RtdeCell:
             self._end.detach()
             self._runner = None
             self._let_go()
-        for each in (self._grippers, *self._trackers.values(), self._placer, self.images):
+        for each in (self._grippers, *self._trackers.values(), self._placer, self._camera_record, self.images):
             if each is not None:
                 each.close()
 
@@ -370,6 +373,10 @@ class RtdeCell:
         """Path of the view of a live page's process, and the names of the memories that it reads."""
         cameras = () if self.images is None else self.images.memories
         return "dual_ur10.sim2real.runtime.live_view:LiveView", *self.memory_names, self._open.cell.name, *cameras
+
+    def record_cameras(self, folder: Path, begin_s: float, note: Callable[[str, str], None]) -> None:
+        """Let all cameras of the cell write videos into the folder of a run; see `CameraRecord`."""
+        self._camera_record = CameraRecord(self.file, self.images, folder, begin_s, note, system=self.system)
 
     def record(self) -> None:
         """Do nothing: the arms' memories hold the record."""
@@ -418,6 +425,8 @@ class RtdeCell:
             wrench = np.array([_wrench_at_flange(each) for each in statuses])
         if self.images is not None:
             self.images.look(self.system.clock.now_s())
+        if self._camera_record is not None:
+            self._camera_record.poll()
         time_s = self._elapsed * self._tick_s
         state = self._mirror.follow(time_s, q, qd / slow, gripper_m=widths, wrench=wrench)
         if not self._trackers:

@@ -30,6 +30,7 @@ from dual_ur10.sim2real.cell_file.tables import (
     PatternCameraEntry,
     V4l2CameraEntry,
 )
+from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.testing import VirtualCell
 from ur_core.processes.system import LOCAL
 
@@ -464,6 +465,27 @@ def test_a_run_has_a_video_of_each_observed_camera_with_true_times(tmp_path):
         np.testing.assert_allclose(np.diff(times), 1 / rate_hz, atol=2e-6)
         assert len(found) > 4
     assert video_name("left/wrist") != video_name("left_wrist")
+
+
+def test_cameras_that_nothing_observes_are_recorded_and_their_failure_is_a_note(tmp_path):
+    lost = {"name": "side", "kind": "own", "camera": f"{__name__}:Shaky", "options": "then=end images=20"}
+    absent = {"name": "overhead", "kind": "file", "file": "nowhere.mp4"}
+    with VirtualCell(file={"camera": [FRONT, lost, absent]}) as cell:
+        env = make(cell, observation="state", record=tmp_path)
+        env.reset(seed=0)
+        for _ in range(10):
+            env.step(REST)  # it goes on
+        env.close()
+        assert not cell.fault
+    (folder,) = tmp_path.iterdir()
+    times = [pattern_time_s(image) for _, image in read_video(folder / video_name("front"))]
+    assert len(times) > 10
+    np.testing.assert_allclose(np.diff(times), 1 / 30, atol=2e-6)
+    assert len(list(read_video(folder / video_name("side")))) > 10
+    notes = [event.text for event in read_run(folder).events if event.kind == "camera"]
+    assert len(notes) == 2
+    assert any("camera side (own) is not recorded: unplugged" in each for each in notes)
+    assert any("there is no video file nowhere.mp4" in each for each in notes)
 
 
 def test_a_video_is_readable_where_its_process_was_killed(tmp_path):

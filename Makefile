@@ -215,6 +215,7 @@ bench: $(VENV)/.dev $(KERNEL)  ## all benchmarks, figures to out/*.json
 	@$(VENV)/bin/python benchmarks/emulator.py --seconds 60 --json out/emulator.json
 	@$(VENV)/bin/python benchmarks/external_control.py --json out/external_control.json
 	@$(VENV)/bin/python benchmarks/live_page.py --json out/live_page.json
+	@$(VENV)/bin/python benchmarks/cameras.py --json out/cameras.json
 	@$(VENV)/bin/python benchmarks/runner.py --json out/runner.json
 	@$(VENV)/bin/python benchmarks/real_time.py --json out/real_time.json
 	@$(VENV)/bin/python benchmarks/virtual_cell.py --json out/virtual_cell.json

@@ -9,6 +9,7 @@ from math import prod
 from typing import Any, Final
 
 from dual_ur10.envs.tasks.observation_layout import ObservationLayout
+from dual_ur10.errors import DatasetError
 from dual_ur10.sim2real.control.adapter import ActionMode
 from ur_core.kinematics.ur10 import ARMS, JOINTS
 
@@ -107,6 +108,9 @@ def of_arms(
         grippers: The arms have grippers.
         cameras: Names of the cameras whose images it has.
         size: Height and width of an image.
+
+    Raises:
+        DatasetError: Two cameras would have one feature.
     """
 
     def vector(names: Sequence[str], dtype: str = "float32") -> DatasetFeature:
@@ -118,7 +122,7 @@ def of_arms(
         ENVIRONMENT_STATE: vector(observation_names(layout)),
         ACTION: vector(positions),
         ENV_ACTION: vector(env_action_names(mode, grippers=grippers)),
-        **{image_key(name): DatasetFeature("video", (*size, 3), ("height", "width", "channels")) for name in cameras},
+        **{key: DatasetFeature("video", (*size, 3), ("height", "width", "channels")) for key in image_keys(cameras)},
         "next.reward": DatasetFeature("float32", (1,)),
         "next.done": DatasetFeature("bool", (1,)),
         "next.success": DatasetFeature("bool", (1,)),
@@ -131,6 +135,23 @@ def of_arms(
 def image_key(camera: str) -> str:
     """Return the name of the feature of a camera's images. LeRobot allows no "/" in it."""
     return IMAGES + camera.replace("/", "_")
+
+
+def image_keys(cameras: Sequence[str]) -> list[str]:
+    """Return the names of the features of several cameras.
+
+    Raises:
+        DatasetError: Two cameras would have one feature.
+    """
+    found: dict[str, str] = {}
+    for camera in cameras:
+        other = found.setdefault(image_key(camera), camera)
+        if other != camera:
+            raise DatasetError(
+                f"images of the cameras {other!r} and {camera!r} would both be {image_key(camera)!r}: leave one out, "
+                "or rename it"
+            )
+    return list(found)
 
 
 def words_of(env_id: str) -> str:

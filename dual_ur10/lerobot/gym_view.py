@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 
 from dual_ur10.errors import SettingsError
 from dual_ur10.ids import env_id_of
-from dual_ur10.lerobot.features import image_key, words_of
+from dual_ur10.lerobot.features import IMAGES, image_key, image_keys, words_of
 from dual_ur10.lerobot.positions import Positions
 from dual_ur10.policies.learned.signature import view_of_env
 
 STATE, ENVIRONMENT, PIXELS = "agent_pos", "environment_state", "pixels"
-_IMAGES: Final = "observation.images."
 
 
 class LeRobotView(gym.Wrapper[dict[str, Any], Any, Any, Any]):
@@ -66,6 +65,7 @@ class LeRobotView(gym.Wrapper[dict[str, Any], Any, Any, Any]):
             ENVIRONMENT: spaces.Box(-np.inf, np.inf, numbers.shape, np.float32),
         }
         if self._pictured:
+            image_keys(tuple(shown["pixels"]))  # no two are one
             observed[PIXELS] = spaces.Dict({_name(each): space for each, space in shown["pixels"].items()})
         self.observation_space = spaces.Dict(observed)
 
@@ -89,4 +89,4 @@ class LeRobotView(gym.Wrapper[dict[str, Any], Any, Any, Any]):
 
 
 def _name(camera: str) -> str:
-    return image_key(camera).removeprefix(_IMAGES)
+    return image_key(camera).removeprefix(IMAGES)

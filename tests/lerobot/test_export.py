@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from dual_ur10.errors import DatasetError, RecordingError
 from dual_ur10.lerobot.column_statistics import QUANTILES, combined, statistics_of
 from dual_ur10.lerobot.dataset_reader import read_dataset
-from dual_ur10.lerobot.features import ACTION, ENV_ACTION, ENVIRONMENT_STATE, STATE
+from dual_ur10.lerobot.features import ACTION, ENV_ACTION, ENVIRONMENT_STATE, STATE, image_keys
 from dual_ur10.lerobot.lerobot_export import runs_of, to_lerobot
 from dual_ur10.lerobot.recorded_images import observed_s
 from dual_ur10.lerobot.resimulation import simulate_again
@@ -210,6 +210,12 @@ def test_the_commands_export_and_import(made, tmp_path):
     assert (code, "left_shoulder_pan.pos" in text, "episode 1" in text) == (0, True, False)
     assert command("import", "lerobot", str(tmp_path / "dataset"), "--set", "robot=ur5e")[0] == 2
     assert command("export", "lerobot", str(runs), "--out", str(tmp_path / "x"), "--size", "640")[0] == 2
+
+
+def test_two_cameras_never_share_a_feature():
+    assert image_keys(["front", "left/wrist", "front"]) == ["observation.images.front", "observation.images.left_wrist"]
+    with pytest.raises(DatasetError, match="'left/wrist' and 'left_wrist' would both be"):
+        image_keys(["left/wrist", "left_wrist"])
 
 
 def test_a_run_of_controllers_has_the_images_that_its_cameras_took(tmp_path):

@@ -139,7 +139,7 @@ def live(
         page.close()
 
 
-def _tell(page: LivePage, *, browser: bool) -> None:
+def tell(page: LivePage, *, browser: bool) -> None:
     """Print the address of a page once it is ready, and open it in a browser if that is wanted and there is one."""
     console.print(f"the page is at {page.wait_until_ready()}", soft_wrap=True, highlight=False, markup=False)
     console.print("Whoever has this address may press its buttons. Ctrl-C ends it", style="dim")
@@ -162,7 +162,7 @@ def _watch(setup: EnvSetup, page: LivePage, seconds: float | None, *, browser: b
             stack.enter_context(StatusView(name, each, system=LOCAL))
             for name, each in zip(ARMS, file.arms, strict=True)
         ]
-        _tell(page, browser=browser)
+        tell(page, browser=browser)
         words = {"arms": f"{file.kind} cell, watched only", "cell": str(file.source)}
         WatchSession(arms, page, words).run(seconds)
 
@@ -214,7 +214,7 @@ def lead(
         person = None if device is None else operator_with(device, setup, mapping)
         names = [each for each in policies if each is not None]
         session = LiveSession(made, actor if first else None, person, page, seed, names, acting, _alarm)
-        _tell(page, browser=browser)
+        tell(page, browser=browser)
         if setup.config.controllers and not unattended:
             console.print(
                 f"Both arms wait until it is open, and stop {UNATTENDED_S:g} s after it is closed", style="dim"

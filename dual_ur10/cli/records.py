@@ -10,6 +10,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
+from dual_ur10.cli.live import PAGE_EXTRA, NoBrowser, Port, tell
 from dual_ur10.cli.options import (
     RUNS,
     CellName,
@@ -27,6 +28,7 @@ from dual_ur10.cli.options import (
     record_in,
 )
 from dual_ur10.cli.session import STOP_COMMANDED, asks, late_text, on_virtual, power_on
+from dual_ur10.envs.rendering.live.guard import PORT
 from dual_ur10.errors import SettingsError
 from ur_core.files import check_target, write_text
 from ur_core.processes.interrupts import INTERRUPTED
@@ -44,13 +46,25 @@ def replay(
     allow_partial: Partial = False,
     record: Record = RUNS,
     no_record: NoRecord = False,
+    page: Annotated[
+        bool,
+        typer.Option("--page", help="Show the record itself in a page instead, with the images of its cameras."),
+    ] = False,
+    no_browser: NoBrowser = False,
+    port: Port = PORT,
+    seconds: Annotated[float | None, typer.Option("--seconds", min=0.1, help="Close the page after this time.")] = None,
 ) -> None:
     """Replay the actions of a recorded episode through the same adapter and gate.
 
     A simulated run that is simulated again must be the same in every bit, else the exit code is 1. On arms, the
     targets that the gate releases are compared.
     """
-    check_extras(("records", "reading a record"), cell=cell)
+    check_extras(("records", "reading a record"), *((PAGE_EXTRA,) if page else ()), cell=cell)
+    if page:
+        if cell is not None or arm is not None or power:
+            raise SettingsError("--page moves nothing: leave out --cell, --arm and --power-on")
+        _show(run, episode, seconds, allow_partial=allow_partial, browser=not no_browser, port=port)
+        return
     from dual_ur10.sim2real.analysis.replay import replay as play
     from dual_ur10.sim2real.analysis.replay import source_of
     from dual_ur10.sim2real.recording.reader import read_run
@@ -90,6 +104,37 @@ def replay(
         return
     errors.print(f"[bold red]different:[/] [red]{escape(found.difference)}[/]", soft_wrap=True, highlight=False)
     raise typer.Exit(DIFFERENT)
+
+
+def _show(path: Path, number: int, seconds: float | None, *, allow_partial: bool, browser: bool, port: int) -> None:
+    """Show a recorded episode in a page."""
+    from dual_ur10.cli.playback_session import PlaybackSession
+    from dual_ur10.envs.core.setup import EnvSetup
+    from dual_ur10.envs.rendering.live.about import About
+    from dual_ur10.envs.rendering.live.live_page import LivePage
+    from dual_ur10.sim2real.analysis.reconstruction import keywords_of as recorded_keywords
+    from dual_ur10.sim2real.analysis.replay import episode_of
+    from dual_ur10.sim2real.recording.reader import file_of, read_run
+
+    run = read_run(path, allow_partial=allow_partial)
+    episode = episode_of(run, number)
+    setup = EnvSetup.resolve(run.header.env_id, recorded_keywords(run.header))
+
+    def note(text: str) -> None:
+        errors.print(f"[yellow]note:[/] {escape(text)}", highlight=False, soft_wrap=True)
+
+    speeds = tuple(setup.limits.speed_rad_s)
+    with PlaybackSession(run, episode, file_of(path).parent, note) as session:
+        cameras = session.cameras or ("front",)
+        about = About(f"{setup.env_id}, recorded", setup.config.scene, (speeds, speeds), cameras=cameras)
+        shown = LivePage(about, port=port)
+        try:
+            tell(shown, browser=browser)
+            session.run(shown, seconds)
+        except KeyboardInterrupt:
+            console.print("closed")
+        finally:
+            shown.close()
 
 
 def compare(

@@ -14,12 +14,12 @@ from dual_ur10.lerobot.dataset_writer import OWN, DatasetWriter
 from dual_ur10.lerobot.episode_frames import RecordedView, view_of_run
 from dual_ur10.lerobot.features import DatasetFeature, image_key, of_arms, words_of
 from dual_ur10.lerobot.image_video import ImageVideo, video_info
-from dual_ur10.lerobot.recorded_images import RecordedImages
 from dual_ur10.policies.training.demonstrations import KEPT, kept_of, runs_in
 from dual_ur10.sim2real.analysis.reconstruction import generator_text
 from dual_ur10.sim2real.analysis.replay import replay
 from dual_ur10.sim2real.recording.header import to_metadata
-from dual_ur10.sim2real.recording.reader import read_run
+from dual_ur10.sim2real.recording.reader import file_of, read_run
+from dual_ur10.sim2real.recording.recorded_images import RecordedImages
 from dual_ur10.sim2real.recording.run import Episode, Header, Run
 from dual_ur10.sim2real.recording.run_folder import RUN_FILE
 
@@ -103,7 +103,7 @@ def to_lerobot(
             headers.append(to_metadata(replace(run.header, cell_file=None, cell_sha256=None, extra={})))
             recorded = None
             if cameras and run.header.source != "mujoco":
-                recorded = RecordedImages(path if path.is_dir() else path.parent, run, cameras, size)
+                recorded = RecordedImages(file_of(path).parent, cameras, size)
             for place, success in _chosen(run, successful=successful).items():
                 episode = replace(run.episodes[place], success=success)
                 columns = view.columns(episode, f"episode {episode.number} of {path}")
@@ -206,7 +206,7 @@ def _images(
         if recorded is None:
             _simulate(run, place, cameras, size, draw)
         else:
-            for images in recorded.images(run.episodes[place]):
+            for images in recorded.images(run, run.episodes[place]):
                 draw(images)
     return {image_key(each): image_statistics(pictures[each]) for each in cameras}
 

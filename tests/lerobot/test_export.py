@@ -17,11 +17,11 @@ from dual_ur10.lerobot.column_statistics import QUANTILES, combined, statistics_
 from dual_ur10.lerobot.dataset_reader import read_dataset
 from dual_ur10.lerobot.features import ACTION, ENV_ACTION, ENVIRONMENT_STATE, STATE, image_keys
 from dual_ur10.lerobot.lerobot_export import runs_of, to_lerobot
-from dual_ur10.lerobot.recorded_images import observed_s
 from dual_ur10.lerobot.resimulation import simulate_again
 from dual_ur10.policies.training.demonstrations import KEPT
 from dual_ur10.sim2real.cameras.pattern_camera import pattern_time_s
 from dual_ur10.sim2real.recording.reader import read_run
+from dual_ur10.sim2real.recording.recorded_images import observed_s
 from dual_ur10.testing import VirtualCell
 from tests.cli.command import run as command
 from tests.lerobot.conftest import STEPS, recorded

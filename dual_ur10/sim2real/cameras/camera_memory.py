@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Final
 
 import numpy as np
@@ -139,6 +139,12 @@ class CameraMemory:
         """Release the memory. May be called twice."""
         self._block.close()
         self._view()
+
+
+def newest_images(memories: Mapping[str, CameraMemory], now_s: float) -> dict[str, NDArray[np.uint8]]:
+    """Return copies of the newest images by camera, without those of cameras that have none."""
+    found = {name: memory.newest(now_s) for name, memory in memories.items()}
+    return {name: each.image for name, each in found.items() if each is not None}
 
 
 def described(camera: str, memory: CameraMemory) -> str:

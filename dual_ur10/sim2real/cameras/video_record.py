@@ -31,6 +31,11 @@ def video_name(camera: str) -> str:
     return f"camera_{file_name(camera)}.mp4"
 
 
+def camera_of(video: str) -> str:
+    """Return the name of the camera of a video; see `video_name`."""
+    return video.removeprefix("camera_").removesuffix(".mp4").replace("-", "/")
+
+
 def file_name(camera: str) -> str:
     """Return the name of a camera as a part of the name of a file. Cameras have no "-" in theirs."""
     return camera.replace("/", "-")

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.sim2real.cameras.camera_memory import opened
+from dual_ur10.sim2real.cameras.camera_memory import newest_images, opened
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
 from ur_core.kinematics.ur10 import ARMS
@@ -77,8 +77,7 @@ class LiveView:
 
     def images(self, now_s: float) -> dict[str, NDArray[np.uint8]]:
         """Return the newest image of each observed camera, by its name; none of one that has sent none."""
-        found = {name: memory.newest(now_s) for name, memory in self._cameras.items()}
-        return {name: each.image for name, each in found.items() if each is not None}
+        return newest_images(self._cameras, now_s)
 
     def close(self) -> None:
         """Release the memories."""

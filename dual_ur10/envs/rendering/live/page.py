@@ -140,7 +140,8 @@ class Page:
         if self._about.controllers or count != 1 or client is None:
             words["pages"] = f"{count} open, {'one commands' if client is not None else 'none commands'}"
         if not self._about.commands:
-            words["pages"] = f"{count} open; this program only watches, --command lets one page command"
+            hint = ", --command lets one page command" if self._about.controllers else ""
+            words["pages"] = f"{count} open; this program only watches{hint}"
         self._panel.say(words)
 
     def close(self) -> None:

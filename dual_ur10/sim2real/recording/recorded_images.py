@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dual_ur10.errors import RecordingError, SettingsError
 from dual_ur10.sim2real.cameras.image_size import check_fits, resized
-from dual_ur10.sim2real.cameras.video_record import read_video, video_name
+from dual_ur10.sim2real.cameras.video_record import camera_of, read_video, video_name
 from dual_ur10.sim2real.recording.run import LATE, Episode, Run
 from ur_core.types import Array
 
@@ -25,64 +25,87 @@ class RecordedImages:
 
     Args:
         folder: Folder of the run.
-        run: The run.
         cameras: Names of cameras.
-        size: Height and width of the images.
+        size: Height and width of the images; None: those of each camera's own.
 
     Raises:
-        RecordingError: The run has no video of a camera.
+        RecordingError: The run has no video of a camera, or one that has no image or does not fit the size.
     """
 
-    def __init__(self, folder: Path, run: Run, cameras: Sequence[str], size: tuple[int, int]) -> None:
-        self._run, self._size = run, size
-        self._videos = {each: _Playback(folder / video_name(each)) for each in cameras}
+    def __init__(self, folder: Path, cameras: Sequence[str], size: tuple[int, int] | None = None) -> None:
+        self._videos = {each: _Playback(folder / video_name(each), size) for each in cameras}
 
-    def images(self, episode: Episode) -> Iterator[dict[str, NDArray[np.uint8]]]:
-        """Yield the images by camera for the observation before each step, the newest that are not newer.
+    @property
+    def sizes(self) -> dict[str, tuple[int, int]]:
+        """Height and width of the images, by camera."""
+        return {name: video.size for name, video in self._videos.items()}
+
+    def at(self, time_s: float) -> dict[str, NDArray[np.uint8]]:
+        """Return the newest images that are not newer than a time of the run's clock, of cameras that have one.
+
+        Times may not go back.
+        """
+        found = {name: video.at(time_s) for name, video in self._videos.items()}
+        return {name: image for name, image in found.items() if image is not None}
+
+    def images(self, run: Run, episode: Episode) -> Iterator[dict[str, NDArray[np.uint8]]]:
+        """Yield the images by camera for the observation before each step.
 
         Episodes have to come in the order of the run.
 
         Raises:
             RecordingError: A video has no image of that time, or the run no times of its targets.
         """
-        for at_s in observed_s(self._run, episode).tolist():
-            yield {name: video.at(at_s, self._size) for name, video in self._videos.items()}
+        for at_s in observed_s(run, episode).tolist():
+            found = self.at(at_s)
+            for name, video in self._videos.items():
+                if name not in found:
+                    raise RecordingError(
+                        f"{video.path} has no image just before {at_s:.2f} s, when a step began: the camera was not "
+                        "recorded then. Leave it out of --cameras, or leave out the run"
+                    )
+            yield found
 
 
 class _Playback:
     """Images of one video in order."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, size: tuple[int, int] | None) -> None:
         if not path.is_file():
             raise RecordingError(
                 f"there is no {path}: the run was recorded without images of that camera. Name it in the "
                 "cell file, or observe it, when you record; or leave it out of --cameras"
             )
-        self._path, self._frames = path, read_video(path)
+        self.path, self._frames = path, read_video(path)
         self._now: tuple[float, NDArray[np.uint8]] | None = None
         self._next = next(self._frames, None)
+        if self._next is None:
+            raise RecordingError(f"{path} has no image: the recording was cut off. Leave the camera out of --cameras")
+        height, width, _ = self._next[1].shape
+        self.size = (height, width) if size is None else size
+        try:
+            check_fits((height, width), self.size, str(path))
+        except SettingsError as error:
+            raise RecordingError(str(error)) from None
         self._made: NDArray[np.uint8] | None = None
         self._allowed_s = _STALE_S
 
-    def at(self, time_s: float, size: tuple[int, int]) -> NDArray[np.uint8]:
-        """Return the newest image that is not newer than a time of the run's clock."""
+    def at(self, time_s: float) -> NDArray[np.uint8] | None:
+        """Return the newest image that is not newer than a time; None: there is none, or it is too old."""
         while self._next is not None and self._next[0] <= time_s + _SLACK_S:
             if self._now is not None:
                 self._allowed_s = max(_STALE_S, _STALE_PERIODS * (self._next[0] - self._now[0]))
             self._now, self._next, self._made = self._next, next(self._frames, None), None
         if self._now is None or time_s - self._now[0] > self._allowed_s:
-            raise RecordingError(
-                f"{self._path} has no image of {time_s - self._allowed_s:.2f} to {time_s:.2f} s, when a step began: "
-                "the camera was not recorded then. Leave it out of --cameras, or leave out the run"
-            )
+            return None
         if self._made is None:
-            image = self._now[1]
-            try:
-                check_fits(image.shape[:2], size, str(self._path))
-            except SettingsError as error:
-                raise RecordingError(str(error)) from None
-            self._made = resized(image, size)
+            self._made = resized(self._now[1], self.size)
         return self._made
+
+
+def cameras_in(folder: Path) -> list[str]:
+    """Return the names of the cameras that have a video in the folder of a run."""
+    return sorted(camera_of(each.name) for each in folder.glob(video_name("*")))
 
 
 def observed_s(run: Run, episode: Episode) -> Array:

@@ -9,7 +9,8 @@ import pyarrow.parquet as pq
 
 from dual_ur10.lerobot.column_statistics import QUANTILES
 from dual_ur10.lerobot.dataset_writer import CHUNK, DatasetWriter
-from dual_ur10.lerobot.features import ACTION, IMAGES, STATE
+from dual_ur10.lerobot.features import ACTION, STATE
+from dual_ur10.policies.learned.lerobot_files import IMAGES
 from ur_core.kinematics.ur10 import ARMS
 
 DATA_PATH: Final = "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet"

@@ -9,13 +9,12 @@ from math import prod
 from typing import Any, Final
 
 from dual_ur10.envs.tasks.observation_layout import ObservationLayout
-from dual_ur10.errors import DatasetError
+from dual_ur10.policies.learned.lerobot_files import image_keys
 from dual_ur10.sim2real.control.adapter import ActionMode
 from ur_core.kinematics.ur10 import ARMS, JOINTS
 
 STATE: Final = "observation.state"
 ENVIRONMENT_STATE: Final = "observation.environment_state"
-IMAGES: Final = "observation.images."
 ACTION: Final = "action"
 ENV_ACTION: Final = "env_action"
 """Actions as the environment takes them. The name begins neither with "action" nor with "observation", which LeRobot
@@ -130,28 +129,6 @@ def of_arms(
         "intervention": DatasetFeature("bool", (1,)),
         **DEFAULTS,
     }
-
-
-def image_key(camera: str) -> str:
-    """Return the name of the feature of a camera's images. LeRobot allows no "/" in it."""
-    return IMAGES + camera.replace("/", "_")
-
-
-def image_keys(cameras: Sequence[str]) -> list[str]:
-    """Return the names of the features of several cameras.
-
-    Raises:
-        DatasetError: Two cameras would have one feature.
-    """
-    found: dict[str, str] = {}
-    for camera in cameras:
-        other = found.setdefault(image_key(camera), camera)
-        if other != camera:
-            raise DatasetError(
-                f"images of the cameras {other!r} and {camera!r} would both be {image_key(camera)!r}: leave one out, "
-                "or rename it"
-            )
-    return list(found)
 
 
 def words_of(env_id: str) -> str:

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from dual_ur10.errors import SettingsError
 from dual_ur10.ids import env_id_of
-from dual_ur10.lerobot.features import IMAGES, image_key, image_keys, words_of
+from dual_ur10.lerobot.features import words_of
 from dual_ur10.lerobot.positions import Positions
+from dual_ur10.policies.learned.lerobot_files import IMAGES, image_key, image_keys
 from dual_ur10.policies.learned.signature import view_of_env
 
 STATE, ENVIRONMENT, PIXELS = "agent_pos", "environment_state", "pixels"

@@ -12,8 +12,9 @@ from dual_ur10.errors import DatasetError, RecordingError
 from dual_ur10.lerobot.column_statistics import Statistics, image_statistics, sampled, small
 from dual_ur10.lerobot.dataset_writer import OWN, DatasetWriter
 from dual_ur10.lerobot.episode_frames import RecordedView, view_of_run
-from dual_ur10.lerobot.features import DatasetFeature, image_key, of_arms, words_of
+from dual_ur10.lerobot.features import DatasetFeature, of_arms, words_of
 from dual_ur10.lerobot.image_video import ImageVideo, video_info
+from dual_ur10.policies.learned.lerobot_files import image_key
 from dual_ur10.policies.training.demonstrations import KEPT, kept_of, runs_in
 from dual_ur10.sim2real.analysis.reconstruction import generator_text
 from dual_ur10.sim2real.analysis.replay import replay

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import gymnasium as gym
 
+from dual_ur10.envs.core.options import IMAGE_OPTIONS
 from dual_ur10.errors import DualUR10Error, PolicyError, SettingsError, UnknownNameError
 from dual_ur10.ids import LEARNED_NAMES, TASKS, env_id_of
 from dual_ur10.policies.baselines import BASELINES, RandomPolicy, ZeroPolicy
@@ -356,6 +357,7 @@ _INTERFACE: Final = (
     "action_latency_ticks",
     "compensate_lag",
     "observation",
+    *IMAGE_OPTIONS,
 )
 """Keywords of an environment that decide what a policy observes and what its actions mean."""
 

@@ -155,14 +155,16 @@ def test_lerobot_evaluates(run, exported, root):
     assert found["overall"]["n_episodes"] == 2
 
 
-def test_lerobot_loads_and_evaluates_a_checkpoint_of_act(run, root):
-    policy = root / "act"
-    run(HERE / "make_act.py", policy)
+@pytest.mark.parametrize("camera", ["", "front"])
+def test_lerobot_loads_and_evaluates_a_checkpoint_of_act(run, root, camera):
+    policy = root / f"act{camera}"
+    run(HERE / "make_act.py", policy, *filter(None, [camera]))
     assert "20 chunks of LeRobot are those of dual_ur10" in run(HERE / "load_policy.py", policy)
     run(
         *script("eval"), f"--policy.path={policy}", "--env.type=dual_ur10", "--env.task=Handover",
         "--env.episode_length=30", "--env.settings={randomization: mild}", "--eval.n_episodes=2",
-        "--eval.batch_size=2", "--policy.device=cpu", f"--output_dir={root / 'act_evaluated'}",
+        "--eval.batch_size=2", "--policy.device=cpu", f"--output_dir={policy}_evaluated",
+        *(["--env.images=[front]", "--env.width=80", "--env.height=64"] if camera else []),
     )  # fmt: skip
 
 

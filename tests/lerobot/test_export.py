@@ -15,9 +15,10 @@ from hypothesis import strategies as st
 from dual_ur10.errors import DatasetError, RecordingError
 from dual_ur10.lerobot.column_statistics import QUANTILES, combined, statistics_of
 from dual_ur10.lerobot.dataset_reader import read_dataset
-from dual_ur10.lerobot.features import ACTION, ENV_ACTION, ENVIRONMENT_STATE, STATE, image_keys
+from dual_ur10.lerobot.features import ACTION, ENV_ACTION, ENVIRONMENT_STATE, STATE
 from dual_ur10.lerobot.lerobot_export import runs_of, to_lerobot
 from dual_ur10.lerobot.resimulation import simulate_again
+from dual_ur10.policies.learned.lerobot_files import image_keys
 from dual_ur10.policies.training.demonstrations import KEPT
 from dual_ur10.sim2real.cameras.pattern_camera import pattern_time_s
 from dual_ur10.sim2real.recording.reader import read_run

@@ -308,6 +308,9 @@ def _check_about(about: object) -> None:
             raise SettingsError(f"record_about says {name} {about[name]!r:.200}: it must be a text")
 
 
+IMAGE_OPTIONS: Final = ("cameras", "width", "height", "pixels_rate_hz", "shadows")
+"""Keywords on which observed images depend."""
+
 OPTION_NAMES = tuple(each.name for each in dataclasses.fields(EnvOptions))
 """Keywords of every environment, in addition to those of its task."""
 

@@ -1,7 +1,8 @@
 """ACT: a small transformer that returns a chunk of actions for one observation, on NumPy alone.
 
 T. Zhao et al., "Learning Fine-Grained Bimanual Manipulation with Low-Cost Hardware", RSS 2023, without its variational
-encoder. Names and shapes of the weights are LeRobot's.
+encoder. Names and shapes of the weights are LeRobot's. With images it needs PyTorch; see
+`dual_ur10.policies.learned.act_torch`.
 """
 
 from __future__ import annotations
@@ -9,14 +10,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import prod
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 
 from dual_ur10.errors import CheckpointError
 from dual_ur10.policies.chunks.chunk_policy import MOST_ACTIONS, ChunkMode
 from dual_ur10.policies.learned.network import MOST_LAYERS, MOST_PARAMETERS, MOST_WIDTH, DenseLayer
-from dual_ur10.policies.learned.schema import StrictJson, Whole, Wholes
+from dual_ur10.policies.learned.resnet import CHANNELS, RESNET18, feature_size
+from dual_ur10.policies.learned.schema import JsonList, StrictJson, Text, Whole, Wholes
 from ur_core.types import Single
 
 LATENT: Final = 1
@@ -25,7 +27,11 @@ LATENT: Final = 1
 EPSILON: Final = 1e-5
 """Constant added to the variance by which a token is normalised."""
 
-_TOKENS: Final = 3  # style variable, positions of both arms, observation
+MOST_WITH_IMAGES: Final = 64_000_000
+"""Bound of the parameters of a network that sees images: LeRobot's usual one has 34 million."""
+
+_MOST_TOKENS: Final = 4096  # of all images: attention takes as much memory as the square of it
+_MOST_HEIGHT, _MOST_WIDTH = 1080, 1920
 
 ActTensors = Mapping[str, Single]
 """Weights by their names in LeRobot's files, without their prefix "model."."""
@@ -39,13 +45,16 @@ class ActShape(StrictJson):
         state: Indices, in an observation of both arms, of what LeRobot calls `observation.state`: the commanded joints
             of the left arm and its gripper's width, then those of the right one. There are as many as numbers of an
             action.
-        environment_state: Size of an observation of both arms, which is `observation.environment_state`.
+        environment_state: Size of an observation of both arms, which is `observation.environment_state`; 0 with
+            images, which are in its place.
         chunk_size: Number of actions in a chunk.
         dim_model: Size of a token.
         n_heads: Number of heads of the attention.
         dim_feedforward: Units of the hidden layer behind an attention.
         n_encoder_layers: Number of layers of the encoder. The decoder has one.
         action_mode: Meaning of a chunk's actions; see `dual_ur10.policies.chunks.chunk_policy.ChunkPolicy`.
+        cameras: Names of the cameras whose images it sees, in order; (): it sees none.
+        height, width: Size of an image in pixels; 0 without images.
 
     Raises:
         CheckpointError: A size is not possible.
@@ -59,10 +68,14 @@ class ActShape(StrictJson):
     dim_feedforward: Whole
     n_encoder_layers: Whole
     action_mode: ChunkMode
+    cameras: Annotated[tuple[Text, ...], JsonList] = ()
+    height: Whole = 0
+    width: Whole = 0
 
     def __post_init__(self) -> None:
         for name, most in (
-            ("environment_state", MOST_WIDTH),
+            *([("height", _MOST_HEIGHT), ("width", _MOST_WIDTH)] if self.cameras else []),
+            *([] if self.cameras else [("environment_state", MOST_WIDTH)]),
             ("chunk_size", MOST_ACTIONS),
             ("dim_model", MOST_WIDTH),
             ("n_heads", MOST_WIDTH),
@@ -71,19 +84,34 @@ class ActShape(StrictJson):
         ):
             if not 1 <= getattr(self, name) <= most:
                 raise CheckpointError(f"{name} is {getattr(self, name)!r:.80}: it must be 1 to {most}")
-        if not 1 <= len(self.state) <= MOST_WIDTH or not all(0 <= k < self.environment_state for k in self.state):
+        if self.environment_state if self.cameras else self.height or self.width:
             raise CheckpointError(
-                f"state is {self.state!r:.80}: it must be indices of an observation, 0 to {self.environment_state - 1}"
+                f"the network has {len(self.cameras)} cameras, images of {self.height} x {self.width} and "
+                f"environment_state {self.environment_state}: it sees images, or else environment_state"
             )
+        if not 1 <= len(self.state) <= MOST_WIDTH or not all(0 <= k < MOST_WIDTH for k in self.state):
+            raise CheckpointError(f"state is {self.state!r:.80}: it must be indices of an observation")
         if self.dim_model % self.n_heads:
             raise CheckpointError(f"n_heads is {self.n_heads}: it must divide dim_model, {self.dim_model}")
-        if self.parameters > MOST_PARAMETERS:
-            raise CheckpointError(f"the network has {self.parameters} numbers: allowed are {MOST_PARAMETERS}")
+        if self.cameras and self.dim_model % 4:
+            raise CheckpointError(f"dim_model is {self.dim_model}: with images it must be a multiple of 4")
+        tokens = len(self.cameras) * prod(feature_size(self.height, self.width))
+        if tokens > _MOST_TOKENS:
+            raise CheckpointError(f"the images have {tokens} tokens of 32 x 32 pixels: allowed are {_MOST_TOKENS}")
+        most = MOST_WITH_IMAGES if self.cameras else MOST_PARAMETERS
+        if self.parameters > most:
+            raise CheckpointError(f"the network has {self.parameters} numbers: allowed are {most}")
 
     @property
     def action(self) -> int:
         """Numbers of an action."""
         return len(self.state)
+
+    @property
+    def inputs(self) -> dict[str, int]:
+        """Sizes of the normalised numbers that it sees, by their names in the weights."""
+        environment = {"env_state": self.environment_state} if self.environment_state else {}
+        return {"robot_state": len(self.state), **environment}
 
     @property
     def parameters(self) -> int:
@@ -112,10 +140,13 @@ class ActShape(StrictJson):
         for k in range(self.n_encoder_layers):
             found |= layer(f"encoder.layers.{k}", "self_attn")
         found |= layer("decoder.layers.0", "self_attn", "multihead_attn") | norm("decoder.norm")
-        found |= dense("encoder_robot_state_input_proj", len(self.state), size)
-        found |= dense("encoder_env_state_input_proj", self.environment_state, size)
-        found |= dense("encoder_latent_input_proj", LATENT, size)
-        found |= {"encoder_1d_feature_pos_embed.weight": (_TOKENS, size)}
+        for name, inputs in {**self.inputs, "latent": LATENT}.items():
+            found |= dense(f"encoder_{name}_input_proj", inputs, size)
+        found |= {"encoder_1d_feature_pos_embed.weight": (1 + len(self.inputs), size)}
+        if self.cameras:
+            found |= {f"backbone.{name}": shape for name, shape in RESNET18.items()}
+            found |= {"encoder_img_feat_input_proj.weight": (size, CHANNELS, 1, 1)}
+            found |= {"encoder_img_feat_input_proj.bias": (size,)}
         found |= {"decoder_pos_embed.weight": (self.chunk_size, size)}
         return found | dense("action_head", size, self.action)
 

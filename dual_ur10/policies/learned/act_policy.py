@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dual_ur10.errors import ActionError, CheckpointError
 from dual_ur10.policies.learned.act_network import ActNetwork, ActShape, ActTensors
@@ -31,6 +33,7 @@ class ActPolicy:
 
     Raises:
         CheckpointError: The network is another.
+        MissingExtraError: It sees images, and PyTorch is not installed.
     """
 
     portable = True
@@ -40,9 +43,15 @@ class ActPolicy:
             raise CheckpointError("the network returns no chunks: it is no ACT")
         self.manifest, self.layers = manifest, networks
         self.action_mode: str = manifest.network.action_mode
-        self._network = ActNetwork(manifest.network, networks[0])
-        self._state, self._observation, self._action = map(_Scaling, manifest.normalisers)
-        self._indices = list(manifest.network.state)
+        self._network: Any
+        if manifest.network.cameras:
+            from dual_ur10.policies.learned.act_torch import ActImageNetwork  # needs PyTorch
+
+            self._network = ActImageNetwork(manifest.network, networks[0])
+        else:
+            self._network = ActNetwork(manifest.network, networks[0])
+        *self._inputs, self._action = map(_Scaling, manifest.normalisers)
+        self._shape = manifest.network
         rate = manifest.signature.rate
         self.dt_s = self.latency_s = rate.tick_s * rate.period_ticks
 
@@ -57,21 +66,49 @@ class ActPolicy:
     def reset(self) -> None:
         """Do nothing: there is no state."""
 
-    def chunk(self, observation: Array, time_s: float) -> Array:
+    def chunk(self, observation: Any, time_s: float) -> Array:
         """Return a chunk of actions, (chunk_size, 12 or 14), for an observation of one cell.
+
+        Args:
+            observation: (O,) numbers; with cameras `{"state": numbers, "pixels": {camera: image}}`.
+            time_s: Not used.
 
         Raises:
             ActionError: Not an observation of its environment.
         """
-        signature = self.manifest.signature
+        signature, images = self.manifest.signature, list[Any]()
+        if self._shape.cameras:
+            observation, images = self._split(observation)
         given = checked_observation(observation, signature.observation.shape[0], signature.env_id)
         if given.ndim != 1:
             raise ActionError(f"a chunk is of one observation, found {len(given)} of them")
-        state, seen = self._state.scaled(given[self._indices]), self._observation.scaled(given)
-        found = self._action.restored(self._network(state, seen))
+        values = (given[list(self._shape.state)], given)[: len(self._inputs)]
+        inputs = [each.scaled(value) for each, value in zip(self._inputs, values, strict=True)]
+        found = self._action.restored(self._network(*inputs, *images))
         if signature.actions.gripper:
             found[:, 6::7] = 2.0 * found[:, 6::7] - 1.0
         return found
+
+    def _split(self, observation: Any) -> tuple[Any, list[NDArray[np.uint8]]]:
+        """Return the numbers of an observation, and its images, (cameras, height, width, 3).
+
+        Raises:
+            ActionError: It lacks one of them, or an image has another size.
+        """
+        names, size = self._shape.cameras, (self._shape.height, self._shape.width, 3)
+        pixels = observation.get("pixels") if isinstance(observation, Mapping) else None
+        if not isinstance(pixels, Mapping) or "state" not in observation or not {*names} <= {*pixels}:
+            raise ActionError(
+                f"an observation of {self.manifest.signature.env_id} has `state` and, in `pixels`, images of "
+                f"{', '.join(names)}: make the environment with observation='both' and these cameras"
+            )
+        images = [np.asarray(pixels[each]) for each in names]
+        for name, each in zip(names, images, strict=True):
+            if each.dtype != np.uint8 or each.shape != size:
+                raise ActionError(
+                    f"the image of {name} is {each.dtype} of shape {each.shape}: it must be uint8 of {size}"
+                )
+        return observation["state"], [np.stack(images)]
 
 
 class _Scaling:

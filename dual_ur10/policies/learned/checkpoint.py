@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from safetensors.numpy import save as _serialised
 
 from dual_ur10.assets.settings import Equipment
-from dual_ur10.envs.core.options import EnvOptions
+from dual_ur10.envs.core.options import IMAGE_OPTIONS, EnvOptions
 from dual_ur10.envs.core.randomization import PRESETS, VISUAL, Randomization, resolve_randomization
 from dual_ur10.errors import CheckpointError
 from dual_ur10.ids import __version__, env_id_of, received
@@ -53,6 +53,7 @@ from dual_ur10.policies.learned.signature import (
     view_of_signature,
 )
 from dual_ur10.sim2real.control.adapter import scale_of_steps
+from dual_ur10.sim2real.recording.header import plain
 from ur_core.files import sync_folder
 
 log = logging.getLogger(__name__)
@@ -375,6 +376,7 @@ _KEYWORD_OF: Final = {
     "actions.mode": "action_mode",
     "kwargs.action_scale": "action_scale",
     "kwargs.gripper_action": "gripper_action",
+    **{f"kwargs.{name}": name for name in IMAGE_OPTIONS},
     "actions.compensate_lag": "compensate_lag",
 }
 """Keywords of the environment that set these alone."""
@@ -427,9 +429,10 @@ def _misfits(made: EnvironmentSignature, here: EnvironmentSignature) -> Iterator
             raise CheckpointError(f"its kwargs make no environment: {error!s:.300}") from error
         if not same:
             yield "kwargs.action_scale", then, now
-    then, now = (each.kwargs.get("gripper_action", EnvOptions.gripper_action) for each in (made, here))
-    if then != now:
-        yield "kwargs.gripper_action", then, now
+    for option in ("gripper_action", *(IMAGE_OPTIONS if made.view == here.view == "both" else ())):
+        then, now = (plain(each.kwargs.get(option, getattr(EnvOptions, option))) for each in (made, here))
+        if then != now:
+            yield f"kwargs.{option}", then, now
     for name in dict.fromkeys(("env_id", *_REMEDIES, *left)):
         if not name.startswith(_ONLY_WARNED) and not _same(left[name], right[name]):
             yield name, left[name], right[name]

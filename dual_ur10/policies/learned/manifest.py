@@ -52,8 +52,8 @@ class Manifest(StrictJson):
         signature: Environment that the policy was made for.
         agents: Number of networks, and the arms that each one moves.
         network: Shape of each network. An ACT is one network for both arms.
-        normalisers: One for each network, or () if observations enter as they are. Of an ACT those of the positions
-            of both arms, of the observation, and of an action.
+        normalisers: One for each network, or () if observations enter as they are. Of an ACT those of each of its
+            `inputs`, the positions of both arms and the observation, and of an action.
         training: Settings of the training, any JSON object.
         seed: Seed of the training; None: it had none.
         evaluation: Results of an evaluation, any JSON object; None: there was none.
@@ -111,11 +111,20 @@ class Manifest(StrictJson):
             raise CheckpointError(
                 f"actions.mode is {self.signature.actions.mode!r}: an ACT is for {' and '.join(CHUNK_MODES)}"
             )
-        found = network.environment_state, network.action
-        wanted = self.signature.observation.shape[0], self.signature.action.shape[0]
+        if (self.signature.view == "both") != bool(network.cameras):
+            raise CheckpointError(
+                f"view is {self.signature.view!r}, and the network sees images of {len(network.cameras)} cameras: "
+                "'both' has some"
+            )
+        size = self.signature.observation.shape[0]
+        found = network.environment_state or size, network.action
+        wanted = size, self.signature.action.shape[0]
         if found != wanted:
             raise CheckpointError(f"the network is of observations and actions of {found} numbers: they have {wanted}")
-        sizes, expected = [len(each.mean) for each in self.normalisers], [wanted[1], *wanted]
+        if max(network.state) >= size:
+            raise CheckpointError(f"state is {network.state!r:.80}: the indices of an observation are 0 to {size - 1}")
+        sizes = [len(each.mean) for each in self.normalisers]
+        expected = [*network.inputs.values(), network.action]
         if sizes != expected:
             raise CheckpointError(f"the normalisers have {sizes} means: those of an ACT have {expected}")
 

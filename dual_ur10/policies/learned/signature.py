@@ -12,7 +12,7 @@ from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 
-from dual_ur10.envs.core.options import EnvOptions
+from dual_ur10.envs.core.options import IMAGE_OPTIONS, EnvOptions
 from dual_ur10.envs.core.randomization import Randomization, resolve_randomization
 from dual_ur10.envs.core.setup import EnvSetup, load_task
 from dual_ur10.envs.tasks.task import Task
@@ -37,8 +37,12 @@ OPTIONS: Final = (
     "compensate_lag",
     "randomization",
     "observation",
+    *IMAGE_OPTIONS,
 )
-"""Options of the environment that a signature keeps. Paths of cells and records are private."""
+"""Options of the environment that a signature keeps, those of images where they are observed beside the numbers. Paths
+of cells and records are private."""
+
+View = Literal["state", "goals", "both"]
 
 _MOST_SIZE: Final = 4096
 _BASE: Final = 6
@@ -166,7 +170,7 @@ class EnvironmentSignature(StrictJson):
     Attributes:
         env_id: Id of the environment.
         kwargs: Keywords of the task and of `OPTIONS` that differ from their defaults.
-        view: "state", all numbers of the task, or "goals", its concise view.
+        view: "state", all numbers of the task; "goals", its concise view; or "both", all numbers and images.
         observation: Space of the view of both arms together, in its own precision: single for "goals", double for
             "state". Networks compute in single precision, so that no policy depends on `observation_dtype`.
         action: Space of the actions of both arms together.
@@ -180,7 +184,7 @@ class EnvironmentSignature(StrictJson):
 
     env_id: Text
     kwargs: Object
-    view: Literal["state", "goals"]
+    view: View
     observation: Space
     action: Space
     rate: ActionRate
@@ -219,7 +223,7 @@ class EnvironmentView:
         self.signature = EnvironmentSignature(
             env_id=setup.env_id,
             kwargs=_kwargs(setup),
-            view="goals" if concise else "state",
+            view=_view_of(setup.options),
             observation=Space(
                 (2 * layout.size,),
                 "float32" if concise else "float64",
@@ -310,11 +314,18 @@ def view_of_signature(signature: EnvironmentSignature) -> EnvironmentView:
         raise CheckpointError(f"its kwargs make no environment: {error!s:.300}") from error
 
 
+def _view_of(options: EnvOptions) -> View:
+    """Return the view of an observation. Those of images alone, or beside the numbers in one dict, have no name."""
+    return options.observation if options.observation in ("goals", "both") else "state"
+
+
 def _kwargs(setup: EnvSetup) -> dict[str, object]:
     options, settings = setup.options, setup.settings
     found: dict[str, Any] = {name: getattr(options, name) for name in OPTIONS}
     found["action_latency_ticks"] = int(setup.latency_ticks)
-    found["observation"] = "goals" if options.concise else EnvOptions.observation
+    found["observation"] = _view_of(options)
+    if found["observation"] != "both":
+        found = {name: value for name, value in found.items() if name not in IMAGE_OPTIONS}
     if found["randomization"] is None or isinstance(found["randomization"], Randomization):
         found["randomization"] = dataclasses.asdict(resolve_randomization(found["randomization"]))
     default = EnvOptions()

@@ -1,4 +1,7 @@
-"""ACT: a transformer imitates chunks of the scripted policy's, or a dataset's, motion of the joints."""
+"""ACT: a transformer imitates chunks of the scripted policy's, or a dataset's, motion of the joints.
+
+Where images are observed, it sees them, and of the numbers the positions of both arms alone.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ import numpy as np
 from dual_ur10.errors import TrainingError
 from dual_ur10.policies.learned.manifest import Manifest
 from dual_ur10.policies.training.act_fit import ActFit, Chunks
-from dual_ur10.policies.training.folder import act_shape
+from dual_ur10.policies.training.folder import act_shape, read_backbone
 from dual_ur10.policies.training.gather import Samples
 from dual_ur10.policies.training.imitation import DemonstrationLearner, seed_of
 from dual_ur10.policies.training.settings import ActSettings
@@ -35,6 +38,7 @@ class ActImitator(DemonstrationLearner):
             raise TrainingError(f"{self._asked.algorithm} learns no chunks")
         self._settings: ActSettings = self._asked.settings
         self._shape, self._tensors = act_shape(self._settings, self._view), tensors
+        self._backbone = read_backbone(self._settings.backbone) if self._settings.backbone and not tensors else None
 
     def _add(self, samples: Samples, begun: float) -> None:
         self._gradient_steps, self._tensors = 0, None  # with more samples the fit begins anew
@@ -43,7 +47,8 @@ class ActImitator(DemonstrationLearner):
     def _fit(self, number: int, begun: float) -> None:
         """Fit a transformer to all samples, and save its policy at each check at which it is the best so far."""
         settings = self._settings
-        fit = ActFit(settings, self._shape, self._chunks(), self._blind, seed_of(self._asked.seed, number))
+        seed = seed_of(self._asked.seed, number)
+        fit = ActFit(settings, self._shape, self._chunks(), self._blind, seed, self._backbone)
         if self._gradient_steps and self._tensors:
             fit.restore(self._tensors, self._gradient_steps)
 
@@ -68,11 +73,12 @@ class ActImitator(DemonstrationLearner):
     def _chunks(self) -> Chunks:
         """Return the samples of all episodes, each in order."""
         parts = []
-        for observation, action, episode in self._samples:
-            order = np.argsort(episode, kind="stable")
-            ends = np.flatnonzero(np.diff(episode[order], append=-1)) + 1
+        for each in self._samples:
+            order = np.argsort(each.episode, kind="stable")
+            ends = np.flatnonzero(np.diff(each.episode[order], append=-1)) + 1
             left = np.repeat(ends, np.diff(ends, prepend=0)) - np.arange(len(order))
-            parts.append((observation[order], self._labels(Samples(observation, action, episode))[order], left))
+            images = [] if each.images is None else [each.images[order]]
+            parts.append((each.observation[order], self._labels(each)[order], left, *images))
         return Chunks(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
     def _labels(self, samples: Samples) -> Single:

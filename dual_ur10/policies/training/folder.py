@@ -25,9 +25,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, BinaryIO
 
+import numpy as np
 from pydantic import Field
 
-from dual_ur10.errors import CheckpointError, MissingExtraError, SettingsError, TrainingError
+from dual_ur10.assets.visuals import cameras
+from dual_ur10.errors import CheckpointError, MissingExtraError, SettingsError, TrainingError, UnknownNameError
 from dual_ur10.policies.chunks.chunk_policy import CHUNK_MODES
 from dual_ur10.policies.evaluation.evaluate import evaluate
 from dual_ur10.policies.evaluation.results import Evaluation
@@ -36,8 +38,10 @@ from dual_ur10.policies.learned.act_network import ActShape
 from dual_ur10.policies.learned.act_policy import ActPolicy
 from dual_ur10.policies.learned.checkpoint import Networks
 from dual_ur10.policies.learned.learned_policy import LearnedPolicy
+from dual_ur10.policies.learned.lerobot_files import image_keys
 from dual_ur10.policies.learned.manifest import Manifest
 from dual_ur10.policies.learned.network import NetworkShape
+from dual_ur10.policies.learned.resnet import RESNET18
 from dual_ur10.policies.learned.schema import StrictJson
 from dual_ur10.policies.learned.signature import EnvironmentView
 from dual_ur10.policies.training import state
@@ -293,7 +297,9 @@ class TrainingFolder:
         # The manifest holds four of these; the names of folders and datasets are private.
         for name in ("env_id", "keywords", "seed", "agents", "init", "dataset", "operator"):
             del asked[name]
+        backbone = asked["settings"].pop("backbone", "")
         began = {
+            **({"from_backbone": True} if backbone else {}),
             "from_checkpoint": bool(self.training.init),
             "from_dataset": bool(self.training.dataset),
             "from_operator": bool(self.training.operator),
@@ -380,6 +386,8 @@ def act_shape(settings: ActSettings, view: EnvironmentView) -> ActShape:
     Raises:
         TrainingError: It is too large.
         SettingsError: Its actions or observations are not those of chunks.
+        UnknownNameError: The scene has no such camera.
+        DatasetError: Two cameras would have one name for LeRobot.
     """
     signature, fields = view.signature, ["commanded_q_rad", *(["gripper_m"] if view.signature.actions.gripper else [])]
     if signature.actions.mode not in CHUNK_MODES:
@@ -387,24 +395,54 @@ def act_shape(settings: ActSettings, view: EnvironmentView) -> ActShape:
             f"action_mode is {signature.actions.mode!r}: act learns joint positions, so choose "
             f"{' or '.join(map(repr, CHUNK_MODES))}"
         )
-    if signature.view != "state" or not {*fields} <= {*view.layout.names}:
+    if view.setup.options.observation not in ("state", "both") or not {*fields} <= {*view.layout.names}:
         raise SettingsError(
-            f"act needs observations with {' and '.join(fields)}: use observation='state' and a task that has them"
+            f"act needs observations with {' and '.join(fields)}: use observation='state', or 'both' for images beside "
+            "them, and a task that has them"
         )
-    own, size = view.layout.indices(fields), view.layout.size
+    own, size, options = view.layout.indices(fields), view.layout.size, view.setup.options
+    known = cameras(view.setup.config.scene) if options.pictured else ()
+    names = options.camera_names if options.pictured else ()
+    for name in names:
+        if name not in known:
+            raise UnknownNameError("camera", name, list(known))
+    image_keys(names)
+    if settings.backbone and not options.pictured:
+        raise SettingsError("backbone is for images, and there are none: use observation='both', or leave it out")
     try:
         return ActShape(
             state=tuple(arm * size + index for arm in range(2) for index in own),
-            environment_state=signature.observation.shape[0],
+            environment_state=0 if options.pictured else signature.observation.shape[0],
             chunk_size=settings.chunk_size,
             dim_model=settings.dim_model,
             n_heads=settings.n_heads,
             dim_feedforward=settings.dim_feedforward,
             n_encoder_layers=settings.n_encoder_layers,
             action_mode=settings.chunk_mode,
+            cameras=names,
+            height=options.height if options.pictured else 0,
+            width=options.width if options.pictured else 0,
         )
     except CheckpointError as error:
         raise TrainingError(str(error)) from error
+
+
+def read_backbone(path: str) -> Tensors:
+    """Return the weights of a ResNet18 by torchvision's names, from a file of safetensors.
+
+    Those of its classifier and counts of batches are left out.
+
+    Raises:
+        TrainingError: It cannot be read, or lacks a weight.
+    """
+    found = state.load_tensors(Path(path))
+    for name, shape in RESNET18.items():
+        if name not in found or found[name].shape != shape:
+            was = f"has shape {found[name].shape}" if name in found else "is missing"
+            raise TrainingError(
+                f"{path} is no ResNet18: {name} {was}, expected {shape}. Save torchvision's state_dict as safetensors"
+            )
+    return {name: found[name].astype(np.float32) for name in RESNET18}
 
 
 def initial_policy(training: Training, view: EnvironmentView) -> LearnedPolicy:

@@ -68,11 +68,13 @@ class Samples(NamedTuple):
         observation: (k, O) observations.
         action: (k, A) actions of the expert.
         episode: (k,) number of the episode that each sample is of. Those of an episode are in order.
+        images: (k, cameras, height, width, 3) observed images; None: there are none.
     """
 
     observation: Single
     action: Single
     episode: NDArray[np.int64]
+    images: NDArray[np.uint8] | None = None
 
 
 class Gathered(NamedTuple):
@@ -86,6 +88,7 @@ class Gathered(NamedTuple):
         successes: (e,) successes of the same; False where the expert helped.
         steps: Total number of environment steps.
         longest: Steps of the longest episode.
+        images: (k, cameras, height, width, 3) observed images; None: there are none.
     """
 
     observation: Single
@@ -95,6 +98,7 @@ class Gathered(NamedTuple):
     successes: NDArray[np.bool_]
     steps: int
     longest: int
+    images: NDArray[np.uint8] | None = None
 
 
 class _Noise:
@@ -161,6 +165,7 @@ def gather(
         on_step: Callback with the number of steps so far.
     """
     n, core = env.num_envs, env.unwrapped.core
+    cameras = core.options.camera_names if core.options.pictured else ()
     low, high = core.action_space.low, core.action_space.high
     joints = np.ones(len(low), dtype=np.float32)
     if core.pipeline.adapter.gripper:
@@ -176,10 +181,14 @@ def gather(
     counted = np.arange(n) < (n if rows is None else rows)
     live, alone, helped = counted.copy(), handed == 0, np.zeros(n, dtype=int)
     seen, labels, numbers = list[Single](), list[Single](), list[NDArray[np.int64]]()
+    pictures = list[NDArray[np.uint8]]()
     returns, successes, steps, now = np.zeros(n), np.zeros(n, dtype=bool), 0, 0
     while live.any():
-        wanted, keep = expert(observation, live)
-        seen.append(observation[keep].astype(np.float32))
+        fields = observation["state"] if cameras else observation
+        wanted, keep = expert(fields, live)
+        seen.append(fields[keep].astype(np.float32))
+        if cameras:
+            pictures.append(np.stack([observation["pixels"][each][keep] for each in cameras], axis=1))
         labels.append(wanted[keep])
         numbers.append(np.flatnonzero(keep))
         action = shaken(wanted, now)
@@ -214,4 +223,5 @@ def gather(
         successes[judged],
         steps,
         now,
+        np.concatenate(pictures) if pictures else None,
     )

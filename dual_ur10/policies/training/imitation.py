@@ -153,7 +153,7 @@ class DemonstrationLearner:
         self._longest = max(self._longest, found.longest)
         self._progress.mean_return = float(found.returns.mean())
         self._progress.success_rate = float(found.successes.mean())
-        self._add(Samples(found.observation, found.action, found.episode), begun)
+        self._add(Samples(found.observation, found.action, found.episode, found.images), begun)
 
     def _driver(self, number: int, begun: float) -> tuple[LearnedPolicy | None, float]:
         """Return the policy that drives a round, None: the expert, and the ratio of episodes that the expert begins."""
@@ -175,7 +175,8 @@ class DemonstrationLearner:
         return few and self._rounds > 0 and self._asked.algorithm == "dagger"
 
     def _add(self, samples: Samples, begun: float) -> None:
-        state.save_tensors(self._path(self._rounds), samples._asdict())
+        kept = {name: each for name, each in samples._asdict().items() if each is not None}
+        state.save_tensors(self._path(self._rounds), kept)
         self._samples.append(samples)
         self._rounds += 1
         self._save(begun)
@@ -197,12 +198,16 @@ class DemonstrationLearner:
         found = state.load_tensors(self._path(number))
         view = self._demonstrated_view
         sizes = (view.signature.observation.shape[0], view.signature.action.shape[0])
+        options = view.setup.options
         try:
-            samples = Samples(*(found[name] for name in Samples._fields))
+            samples = Samples(**{name: found[name] for name in Samples._fields if name != "images" or options.pictured})
         except KeyError as error:
             raise TrainingError(f"{self._path(number)} has no {error}") from None
         count = samples.episode.size
-        if [each.shape for each in samples] != [*((count, size) for size in sizes), (count,)]:
+        expected: list[tuple[int, ...]] = [*((count, size) for size in sizes), (count,)]
+        if options.pictured:
+            expected.append((count, len(options.camera_names), options.height, options.width, 3))
+        if [each.shape for each in samples if each is not None] != expected:
             raise TrainingError(f"{self._path(number)} has samples of another environment")
         return samples
 
@@ -281,7 +286,7 @@ class Imitator(DemonstrationLearner):
         """
         asked, steps = self._asked, self._settings.fit_steps
         self._time_left.fit_begins()
-        observation, action, _ = (np.concatenate(each) for each in zip(*self._samples, strict=True))
+        observation, action = (np.concatenate([each[k] for each in self._samples]) for k in (0, 1))
         parts = self._split(observation, action)
         with reproducible(seed_of(asked.seed, number)):
             fits = [

@@ -41,7 +41,7 @@ def reproducible(seed: int) -> Iterator[None]:
     """Run torch with fixed threads, deterministic algorithms and a seed."""
     threads, strict = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
     torch.set_num_threads(THREADS)
-    torch.use_deterministic_algorithms(True)
+    torch.use_deterministic_algorithms(True, warn_only=torch.cuda.is_available())  # a GPU may lack one of them
     try:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)

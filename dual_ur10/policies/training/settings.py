@@ -32,6 +32,20 @@ IMITATION: Final = ("bc", "dagger", "act")
 LATENCY_TICKS: Final = 5
 """Action latency of imitation: 40 ms, the default of an environment on two controllers."""
 
+IMAGE_SIZE: Final = {"width": 224, "height": 224}
+"""Size of the images of a training, unless it is stated: that for which ResNet18 was made."""
+
+WITH_IMAGES: Final = {
+    "dim_model": 512,
+    "dim_feedforward": 3200,
+    "n_encoder_layers": 4,
+    "batch_size": 32,
+    "learning_rate": 1e-4,
+    "fit_steps": 100_000,
+    "check_steps": 20_000,
+}
+"""Settings of ACT on images: LeRobot's sizes, which need a GPU."""
+
 CHECK_SEED: Final = 10_000_000
 """First seed of the episodes that check a training's progress. Published figures begin at 0."""
 
@@ -158,6 +172,8 @@ class ActSettings(Demonstrated):
         chunk_mode: Meaning of a chunk's actions; see `dual_ur10.policies.chunks.chunk_policy.ChunkPolicy`.
         demonstrated: Action mode of the demonstrations, of the expert's or of a dataset; "": that of the environment.
             A chunk is of joints in any case.
+        backbone: With images: file of safetensors with the initial weights of ResNet18 by torchvision's names; "":
+            random ones.
     """
 
     learning_rate: LearningRate = 7e-4
@@ -173,6 +189,7 @@ class ActSettings(Demonstrated):
     averaging: Ratio = 0.998
     chunk_mode: ChunkMode = "joint_delta"
     demonstrated: Literal["", "joint_delta", "joint_position", "tcp_delta"] = ""
+    backbone: Annotated[str, Field(max_length=1000)] = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -496,7 +513,9 @@ class Training(StrictJson):
             if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
                 raise SettingsError(f"{name} is {value!r}: it must be a whole number, {least} to {most}")
         first_seed_of(self.seed)
-        check_simulated(self.keywords, "training", "train without it, then evaluate with --cell")
+        check_simulated(
+            self.keywords, "training", "train without it, then evaluate with --cell", images=self.algorithm == "act"
+        )
         kinds: dict[str, type] = {"ppo": Reinforcement, "sac": Reinforcement, "act": ActSettings}
         if not isinstance(self.settings, kinds.get(self.algorithm, Imitation)):
             raise SettingsError(f"{type(self.settings).__name__} holds no settings of {self.algorithm}")
@@ -524,6 +543,8 @@ class Training(StrictJson):
             raise SettingsError(f"agents is {self.agents!r}: act makes one network for both arms, 'joint'")
         if self.init:
             raise SettingsError("act begins with no checkpoint: leave it out")
+        if self.dataset and self.keywords.get("observation") == "both":
+            raise SettingsError("a dataset has no images, and observation is 'both': leave out one of both")
 
     def _check_operator(self) -> None:
         """Refuse what does not go together with a person."""
@@ -555,16 +576,17 @@ def first_seed_of(seed: int) -> int:
     return _FIRST_SEED + _SEEDS_EACH * seed
 
 
-def check_simulated(keywords: Mapping[str, Any], purpose: str, remedy: str) -> None:
+def check_simulated(keywords: Mapping[str, Any], purpose: str, remedy: str, *, images: bool = False) -> None:
     """Refuse environments in which nothing can be learned or collected.
 
     Args:
         keywords: Keywords of the environment.
         purpose: Noun for the message, such as "training".
         remedy: Alternative for a cell of two controllers.
+        images: Images may be observed beside the numbers.
 
     Raises:
-        SettingsError: The cell is of two controllers, or the observation has pixels.
+        SettingsError: The cell is of two controllers, or the observation has other pixels.
         DualUR10Error: A keyword is not legal.
     """
     options, _ = split_keywords(dict(keywords))
@@ -573,9 +595,10 @@ def check_simulated(keywords: Mapping[str, Any], purpose: str, remedy: str) -> N
         raise SettingsError(
             f"the cell {options.cell!s:.120} is not simulated, and {purpose} is in simulation: {remedy}"
         )
-    if options.observation not in ("state", "goals"):
+    allowed = ("state", "goals", *(("both",) if images else ()))
+    if options.observation not in allowed:
         raise SettingsError(
-            f"observation is {options.observation!r:.40}: {purpose} needs observation='state' or 'goals'"
+            f"observation is {options.observation!r:.40}: {purpose} needs observation={' or '.join(map(repr, allowed))}"
         )
 
 
@@ -627,6 +650,9 @@ def defaults(
         if algorithm == "act":
             unseen = own.act.unseen or unseen
         settings = dataclasses.replace(settings, unseen=unseen)
+    asked = dict(keywords or {})
+    if algorithm == "act" and asked.get("observation") == "both":
+        settings, asked = dataclasses.replace(settings, **WITH_IMAGES), {**IMAGE_SIZE, **asked}  # type: ignore[arg-type]
     if algorithm not in IMITATION:
         # A checkpoint to begin with has a network of imitation's size, which is also the general one.
         settings = Reinforcement() if init else own.ppo if algorithm == "ppo" else own.sac
@@ -634,7 +660,6 @@ def defaults(
     for name in changes or {}:
         if name not in names:
             raise UnknownNameError(f"hyperparameter of {algorithm}", name, names)
-    asked = dict(keywords or {})
     if randomization is not None:
         if "randomization" in asked:
             raise SettingsError("randomization is set twice: by its option and by a keyword")

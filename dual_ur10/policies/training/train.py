@@ -14,9 +14,9 @@ from dual_ur10.errors import DualUR10Error, TrainingError
 from dual_ur10.ids import received
 from dual_ur10.policies.learned.signature import view_of
 from dual_ur10.policies.training.dataset import read_dataset
-from dual_ur10.policies.training.folder import Saved, TrainingFolder, initial_policy, network_shape
+from dual_ur10.policies.training.folder import Saved, TrainingFolder, initial_policy, network_shape, read_backbone
 from dual_ur10.policies.training.progress import OnProgress, Progress
-from dual_ur10.policies.training.settings import IMITATION, Training
+from dual_ur10.policies.training.settings import IMITATION, ActSettings, Training
 from dual_ur10.policies.training.state import Tensors
 
 if TYPE_CHECKING:
@@ -60,6 +60,8 @@ def train(
     _check_installed(training)
     view = view_of(training.env_id, training.keywords)  # all inputs are checked before hours are spent
     network_shape(training, view)
+    if isinstance(training.settings, ActSettings) and training.settings.backbone:
+        read_backbone(training.settings.backbone)
     if training.init:
         initial_policy(training, view)
     if training.dataset:

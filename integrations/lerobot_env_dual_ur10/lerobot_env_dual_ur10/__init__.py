@@ -10,8 +10,9 @@ import gymnasium as gym
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
 
-from dual_ur10.lerobot.features import ACTION, ENVIRONMENT_STATE, STATE, image_key
+from dual_ur10.lerobot.features import ACTION, ENVIRONMENT_STATE, STATE
 from dual_ur10.lerobot.gym_view import LeRobotView
+from dual_ur10.policies.learned.lerobot_files import image_key
 
 __all__ = ["DualUR10EnvConfig"]
 

@@ -10,8 +10,8 @@ import numpy as np
 from lerobot.robots import Robot
 
 from dual_ur10.errors import ClosedError
-from dual_ur10.lerobot.features import IMAGES, image_key
 from dual_ur10.lerobot.live_arms import LiveArms
+from dual_ur10.policies.learned.lerobot_files import IMAGES, image_key
 from lerobot_robot_dual_ur10.config_dual_ur10 import DualUR10RobotConfig
 
 _connected: weakref.WeakSet[DualUR10Robot] = weakref.WeakSet()

@@ -6,6 +6,7 @@ import dataclasses
 import json
 import os
 import pickle
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import pytest
 from safetensors.numpy import load_file
 
 from dual_ur10 import policies
-from dual_ur10.errors import ActionError, CheckpointError
+from dual_ur10.errors import ActionError, CheckpointError, MissingExtraError
 from dual_ur10.policies.chunks.chunk_policy import ChunkPolicy
 from dual_ur10.policies.chunks.executor import ChunkExecutor
 from dual_ur10.policies.learned import checkpoint
@@ -40,7 +41,7 @@ def saved(tmp_path: Path) -> Path:
 
 def test_outputs_equal_those_of_torch() -> None:
     torch = pytest.importorskip("torch")
-    from dual_ur10.policies.training.act_fit import chunks_of
+    from dual_ur10.policies.learned.act_torch import chunks_of
 
     (tensors,), manifest = act_parts(HANDOVER)
     shape: Any = manifest.network
@@ -171,3 +172,124 @@ def test_changed_weights_are_refused(saved: Path) -> None:
 def test_shapes_of_this_size_fit() -> None:
     """LeRobot's smallest useful sizes are far below the bound."""
     assert ActShape(tuple(range(14)), 130, 25, 128, 8, 512, 2, "joint_delta").parameters < 800_000
+
+
+PICTURES: dict[str, Any] = {"observation": "both", "cameras": ("front", "left/wrist"), "height": 48, "width": 72}
+
+
+@pytest.fixture(scope="module")
+def pictured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    pytest.importorskip("torch")
+    path = tmp_path_factory.mktemp("pictured") / "act"
+    checkpoint.save(path, *act_parts(HANDOVER, **PICTURES))
+    return path
+
+
+def _observation(policy: ActPolicy) -> dict[str, Any]:
+    """Return an observation whose images have a top and a bottom, a left and a right."""
+    state = np.zeros(policy.manifest.signature.observation.shape)
+    shape: Any = policy.manifest.network
+    state[list(shape.state)] = np.linspace(-1.0, 1.0, 14)
+    state[[shape.state[6], shape.state[13]]] *= 0.085  # LeRobot's are fractions of the stroke
+    front, wrist = np.zeros((2, 48, 72, 3), dtype=np.uint8)
+    front[:] = 5 * np.arange(48)[:, None, None]
+    wrist[:, 36:, 0] = 200
+    return {"state": state, "pixels": {"left/wrist": wrist, "front": front}}
+
+
+def test_chunks_from_images_are_those_of_lerobot(pictured: Path) -> None:
+    """The numbers are those of LeRobot 0.6.1, whose `ACTPolicy.from_pretrained` loaded this checkpoint, `strict`."""
+    policy: Any = checkpoint.load(pictured)
+    seen = _observation(policy)
+    found = policy.chunk(seen, 0.0)
+    found[:, 6::7] = (found[:, 6::7] + 1.0) / 2.0
+    # fmt: off
+    first = [0.193493, -0.878866, 2.292157, 2.923198, 0.305742, 0.684625, 0.181048,
+             -0.7841, -0.38886, 1.955258, 1.116055, -3.213248, 0.017425, 1.712922]
+    # fmt: on
+    assert found.shape == (6, 14)
+    np.testing.assert_allclose(found[0], first, atol=5e-6)
+    for change in (np.flipud, np.fliplr, np.zeros_like):
+        other = policy.chunk({**seen, "pixels": {name: change(each) for name, each in seen["pixels"].items()}}, 0.0)
+        assert np.abs(other[0, :6] - found[0, :6]).max() > 5e-5
+    assert pickle.loads(pickle.dumps(policy)).chunk(seen, 1.0).tobytes() == policy.chunk(seen, 0.0).tobytes()
+
+
+def test_lerobot_is_told_of_the_images(pictured: Path) -> None:
+    config = json.loads((pictured / "config.json").read_text())
+    assert config["input_features"] == {
+        "observation.state": {"type": "STATE", "shape": [14]},
+        "observation.images.front": {"type": "VISUAL", "shape": [3, 48, 72]},
+        "observation.images.left_wrist": {"type": "VISUAL", "shape": [3, 48, 72]},
+    }
+    before = load_file(pictured / "policy_preprocessor_step_3_normalizer_processor.safetensors")
+    assert before["observation.images.left_wrist.std"].shape == (3, 1, 1)
+    assert {name for name in load_file(pictured / "model.safetensors") if "layer4.1.bn2" in name} == {
+        f"model.backbone.layer4.1.bn2.{each}" for each in ("weight", "bias", "running_mean", "running_var")
+    }
+
+
+@pytest.mark.parametrize(
+    ("keywords", "message"),
+    [
+        ({"cameras": ("front", "right/wrist")}, "cameras .*'left/wrist'.*, the environment has .*'right/wrist'"),
+        ({"cameras": ("left/wrist", "front")}, "made for kwargs.cameras"),
+        ({"height": 64}, "made for kwargs.height 48, the environment has 64"),
+        ({"pixels_rate_hz": 5.0}, "made for kwargs.pixels_rate_hz None, the environment has 5.0"),
+        ({"observation": "state"}, "made for view 'both', the environment has 'state': .*observation='both'"),
+    ],
+)
+def test_other_images_are_refused(pictured: Path, keywords: dict[str, Any], message: str) -> None:
+    with pytest.raises(CheckpointError, match=message):
+        checkpoint.load(pictured, HANDOVER, **{**PICTURES, **keywords})
+
+
+def test_an_observation_without_its_images_is_refused(pictured: Path) -> None:
+    policy: Any = checkpoint.load(pictured)
+    seen = _observation(policy)
+    for wrong in (seen["state"], {"state": seen["state"], "pixels": {"front": seen["pixels"]["front"]}}):
+        with pytest.raises(ActionError, match="images of front, left/wrist: make the environment with"):
+            policy.chunk(wrong, 0.0)
+    small = {name: each[:40] for name, each in seen["pixels"].items()}
+    with pytest.raises(ActionError, match=r"the image of front is uint8 of shape \(40, 72, 3\)"):
+        policy.chunk({**seen, "pixels": small}, 0.0)
+
+
+def test_an_environment_for_it_has_its_cameras(pictured: Path) -> None:
+    env, policy = policies.make(str(pictured), HANDOVER)
+    assert env.observation_space["pixels"]["left/wrist"].shape == (48, 72, 3)
+    env.close()
+    assert isinstance(policy, ChunkExecutor)
+
+
+def test_images_alone_need_pytorch(pictured: Path, saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "torch", None)
+    monkeypatch.delitem(sys.modules, "dual_ur10.policies.learned.act_torch")
+    with pytest.raises(MissingExtraError, match=r"ACT on images.*\[train\]"):
+        checkpoint.load(pictured)
+    policy: Any = checkpoint.load(saved)
+    assert policy.chunk(np.zeros(policy.manifest.signature.observation.shape), 0.0).shape == (6, 14)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"cameras": []}, "environment_state is 0"),
+        ({"cameras": [], "environment_state": 94}, "it sees images, or else environment_state"),
+        ({"environment_state": 94}, "it sees images, or else environment_state"),
+        ({"height": 0}, "height is 0"),
+        ({"width": 10**6}, "width is 1000000"),
+        ({"height": 1080, "width": 1920, "cameras": ["front"] * 3}, "6120 tokens .* allowed are 4096"),
+        ({"dim_model": 6}, "dim_model is 6: with images it must be a multiple of 4"),
+        ({"dim_model": 4092, "dim_feedforward": 4096}, "allowed are 64000000"),
+        ({"state": [4000] * 14}, "the indices of an observation are 0 to"),
+    ],
+)
+def test_an_impossible_shape_with_images_is_refused(pictured: Path, change: dict[str, Any], message: str) -> None:
+    text = (pictured / "manifest.json").read_text()
+    try:
+        edit(pictured, lambda value: value["network"].update(change))
+        with pytest.raises(CheckpointError, match=message):
+            checkpoint.read_manifest(pictured)
+    finally:
+        (pictured / "manifest.json").write_text(text)

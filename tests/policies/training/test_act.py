@@ -12,17 +12,19 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 from dual_ur10 import policies
-from dual_ur10.errors import SettingsError, TrainingError
+from dual_ur10.errors import CheckpointError, SettingsError, TrainingError, UnknownNameError
 from dual_ur10.policies.chunks.executor import ChunkExecutor
 from dual_ur10.policies.learned import checkpoint
 from dual_ur10.policies.learned.act_network import ActNetwork, ActShape
+from dual_ur10.policies.learned.act_torch import ActImageNetwork
+from dual_ur10.policies.learned.resnet import RESNET18
 from dual_ur10.policies.learned.signature import view_of
 from dual_ur10.policies.training import state
 from dual_ur10.policies.training.act import ActImitator
 from dual_ur10.policies.training.act_fit import ActFit, Chunks
-from dual_ur10.policies.training.folder import TrainingFolder
+from dual_ur10.policies.training.folder import TrainingFolder, read_backbone
 from dual_ur10.policies.training.gather import Samples
-from dual_ur10.policies.training.settings import ActSettings, defaults
+from dual_ur10.policies.training.settings import ActSettings, defaults, first_seed_of
 from dual_ur10.policies.training.train import resume, train
 from tests.policies.training.small import small
 from ur_core.kinematics.forward import flange_pose
@@ -165,6 +167,8 @@ def test_a_transformer_learns_chunks_and_ignores_what_is_behind_an_end() -> None
         ({"agents": "shared"}, "agents is 'shared': act makes one network"),
         ({"init": "x"}, "act begins with no checkpoint"),
         ({"operator": "keyboard"}, "from which act learns"),
+        ({"keywords": {"observation": "pixels"}}, "training needs observation='state' or 'goals' or 'both'"),
+        ({"keywords": {"observation": "both"}, "dataset": "x"}, "a dataset has no images"),
         ({"changes": {"chunk_size": 0}}, "chunk_size"),
     ],
 )
@@ -179,12 +183,114 @@ def test_impossible_settings_are_refused(given: dict[str, Any], message: str) ->
         ({"action_mode": "tcp_delta"}, {}, "action_mode is 'tcp_delta': act learns joint positions"),
         ({"observation": "goals"}, {}, "act needs observations with commanded_q_rad"),
         ({}, {"n_heads": 3}, "n_heads is 3"),
+        ({}, {"backbone": "x"}, "backbone is for images, and there are none"),
+        ({"observation": "both", "cameras": "left/wrist"}, {}, "unknown camera 'left/wrist'"),
+        ({"observation": "both"}, {"backbone": "none.safetensors"}, "none.safetensors cannot be read"),
     ],
 )
 def test_impossible_trainings_are_refused_before_they_begin(
     tmp_path: Path, keywords: dict[str, Any], changes: dict[str, Any], message: str
 ) -> None:
     asked = small("act", keywords=keywords, changes={**changes, "unseen": ()})
-    with pytest.raises((SettingsError, TrainingError), match=message):
+    with pytest.raises((SettingsError, TrainingError, UnknownNameError), match=message):
         train(asked, tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+PICTURES: dict[str, Any] = {"observation": "both", "cameras": ("front",), "width": 40, "height": 32, "duration_s": 0.4}
+
+
+@pytest.fixture(scope="module")
+def pictured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    asked = small("act", rounds=1, keywords=PICTURES, changes={"fit_steps": 2, "demonstrations": 2, "batch_size": 4})
+    return train(asked, tmp_path_factory.mktemp("pictured") / "out", threads=1)
+
+
+def test_a_policy_of_images_is_trained_and_acts(pictured: Path) -> None:
+    manifest = checkpoint.read_manifest(pictured)
+    shape: Any = manifest.network
+    assert (shape.cameras, shape.height, shape.width, shape.environment_state) == (("front",), 32, 40, 0)
+    assert [len(each.mean) for each in manifest.normalisers] == [12, 12]
+    assert (manifest.evaluation or {})["episodes"] == 2
+    env, policy = policies.make(str(pictured), SINE, duration_s=0.4)
+    policies.rollout(env, policy, seed=0)
+    env.close()
+    assert policy.splices > 1
+    with pytest.raises(CheckpointError, match=r"made for kwargs\.cameras"):
+        policies.load(pictured, SINE, **{**PICTURES, "cameras": ("side",)})
+
+
+def test_samples_have_the_images_that_were_seen(pictured: Path) -> None:
+    samples = state.load_tensors(pictured.parent / "samples-0000.safetensors")
+    assert samples["images"].shape == (20, 1, 32, 40, 3)
+    keywords = checkpoint.read_manifest(pictured).signature.kwargs
+    env = policies.make("zero", SINE, **keywords)[0]
+    for row in (0, 1):
+        seen = env.reset(seed=first_seed_of(0) + row)[0]
+        assert np.array_equal(samples["images"][row, 0], seen["pixels"]["front"])
+        assert np.array_equal(samples["observation"][row], seen["state"].astype(np.float32))
+    env.close()
+    assert not np.array_equal(samples["images"][0], samples["images"][1])
+    folder, kept = TrainingFolder.resume(pictured.parent)
+    assert kept is not None
+    chunks = ActImitator(None, folder, kept[1])._chunks()
+    folder.close()
+    order = np.argsort(samples["episode"], kind="stable")
+    assert np.array_equal(chunks.images, samples["images"][order])
+
+
+def _sides(rng: np.random.Generator) -> tuple[ActShape, Chunks]:
+    """Return samples whose action says on which side of its image it is bright."""
+    right = rng.integers(0, 2, 32)
+    images = rng.integers(0, 60, (32, 1, 32, 32, 3)).astype(np.uint8)
+    for image, side in zip(images, right.tolist(), strict=True):
+        image[0, 8:24, 16 * side : 16 * side + 16] += 150
+    numbers, action = rng.normal(size=(32, 2)).astype(np.float32), (2.0 * right - 1.0)[:, None].astype(np.float32)
+    shape = ActShape((0,), 0, 1, 16, 2, 16, 1, "joint_delta", ("front",), 32, 32)
+    return shape, Chunks(numbers, action, np.ones(32, dtype=np.int64), images)
+
+
+def test_a_fit_learns_from_images_and_goes_on_from_its_state() -> None:
+    shape, chunks = _sides(np.random.default_rng(0))
+    settings = ActSettings(batch_size=8, fit_steps=1000, averaging=0.0, learning_rate=0.02)
+    fit, later = ActFit(settings, shape, chunks, [], 0), ActFit(settings, shape, chunks, [], 1)
+    begun = fit.tensors()
+    assert begun["backbone.layer4.1.bn2.running_var"].min() > 0.01  # of the images, not 1
+    fit(10)
+    later.restore(fit.state(), fit.done)
+    later._seed = 0
+    fit(1)
+    later(1)
+    found, expected = later.tensors(), fit.tensors()
+    assert {name for name, each in found.items() if each.tobytes() != expected[name].tobytes()} == set()
+    same = {name for name in RESNET18 if found[f"backbone.{name}"].tobytes() == begun[f"backbone.{name}"].tobytes()}
+    assert same == {name for name, size in RESNET18.items() if len(size) == 1}  # normalisations are frozen
+    network = ActImageNetwork(shape, found)
+    assert chunks.images is not None
+    for number in range(8):
+        chunk = network(np.zeros(1, dtype=np.float32), chunks.images[number])
+        assert np.sign(chunk[0, 0]) == chunks.action[number, 0]
+
+
+def test_a_fit_begins_with_the_backbone_of_a_file(tmp_path: Path) -> None:
+    rng, path = np.random.default_rng(0), tmp_path / "resnet.safetensors"
+    given = {name: rng.uniform(0.1, 1.0, size).astype(np.float32) for name, size in RESNET18.items()}
+    state.save_tensors(path, {**given, "fc.bias": np.zeros(1000, dtype=np.float32)})
+    shape, chunks = _sides(rng)
+    begun = ActFit(ActSettings(), shape, chunks, [], 0, read_backbone(str(path))).tensors()
+    assert {name for name, each in given.items() if begun[f"backbone.{name}"].tobytes() != each.tobytes()} == set()
+
+
+def test_a_file_of_another_backbone_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "resnet.safetensors"
+    state.save_tensors(path, {"conv1.weight": np.zeros((64, 3, 7, 7), dtype=np.float32)})
+    asked = small("act", keywords=PICTURES, changes={"backbone": str(path)})
+    with pytest.raises(TrainingError, match=r"is no ResNet18: bn1.weight is missing, expected \(64,\)"):
+        train(asked, tmp_path / "out")
+
+
+def test_defaults_for_images_are_those_of_a_gpu() -> None:
+    asked = defaults("Handover", "act", keywords={"observation": "both", "width": 96}, changes={"fit_steps": 7})
+    settings: Any = asked.settings
+    assert (settings.dim_model, settings.fit_steps, settings.demonstrated) == (512, 7, "tcp_delta")
+    assert (asked.keywords["width"], asked.keywords["height"]) == (96, 224)

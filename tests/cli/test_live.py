@@ -616,3 +616,14 @@ def test_live_commands_a_cell_of_controllers_for_one_operator_at_a_time(monkeypa
     assert (code, len(turned)) == (2, 2)  # it did not wait for a page
     assert "moved by this program already" in text
     assert not fault  # the refusal stops nobody
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [("front, left/wrist", ("front", "left/wrist")), ("left/wrist/side", ("left/wrist", "side")), ("none", ())],
+)
+def test_names_of_cameras_may_have_the_separator_in_them(text, names):
+    setup = EnvSetup.resolve("DualUR10/Handover-v0", {})
+    page = page_module.open_page(setup, port=0, cameras=text, system=serving_nobody())
+    assert page._about.cameras == names
+    page.close()

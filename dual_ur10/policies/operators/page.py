@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 import numpy as np
@@ -96,10 +96,11 @@ def open_page(
         MissingExtraError: viser is not installed.
     """
     equipment, scene = setup.config.equipment, setup.config.scene
-    names = () if cameras == NO_CAMERAS else tuple(filter(None, map(str.strip, re.split("[,/]", cameras))))
+    known = cameras_of(scene)
+    names = () if cameras == NO_CAMERAS else _separated(cameras, known)
     for name in names:
-        if name not in cameras_of(scene):
-            raise UnknownNameError("camera", name, [*cameras_of(scene), NO_CAMERAS])
+        if name not in known:
+            raise UnknownNameError("camera", name, [*known, NO_CAMERAS])
     speeds = tuple(setup.limits.speed_rad_s)
     about = About(
         title=setup.env_id,
@@ -114,6 +115,12 @@ def open_page(
         unattended=unattended,
     )
     return LivePage(about, port=port, system=system)
+
+
+def _separated(text: str, known: Iterable[str]) -> tuple[str, ...]:
+    """Return names with "," or "/" between them. Known ones may have a "/" themselves."""
+    whole = "|".join(map(re.escape, known))
+    return tuple(filter(None, map(str.strip, re.findall(rf"\s*(?:{whole})(?=\s*[,/]|\s*$)|[^,/]+", text))))
 
 
 def page_device(

@@ -4,6 +4,7 @@ late: Periods of a scripted policy on two emulated controllers in real time, int
 and with three of 640 × 480 at 30 Hz that write H.264.
 times: Times in the videos of such cameras against the clock in their images.
 images: A scripted Handover on a virtual cell. Each observed image is compared with one drawn of the measured state.
+export: Processor time of an export of two arms and three cameras, 640 × 480. Their images are drawn, with noise.
 
     python benchmarks/cameras.py --json out/cameras.json
     python benchmarks/cameras.py --parts times,images
@@ -32,9 +33,11 @@ from dual_ur10.assets.scene import build_model
 from dual_ur10.cli.session import make
 from dual_ur10.envs.rendering.images import Canvas
 from dual_ur10.errors import CellFaulted
+from dual_ur10.lerobot.lerobot_export import runs_of, to_lerobot
 from dual_ur10.sim2real.cameras.camera_record import CameraRecord
+from dual_ur10.sim2real.cameras.camera_source import Exposure
 from dual_ur10.sim2real.cameras.pattern_camera import pattern_time_s
-from dual_ur10.sim2real.cameras.video_record import read_video, video_name
+from dual_ur10.sim2real.cameras.video_record import VideoRecord, read_video, video_name
 from dual_ur10.sim2real.cell_file.cell_file import load_cell_file
 from dual_ur10.sim2real.cell_file.tables import PatternCameraEntry
 from dual_ur10.testing import CellForTests, VirtualCell
@@ -42,6 +45,7 @@ from ur_core.processes.system import LOCAL
 
 CAMERAS = tuple(PatternCameraEntry(name=name, rate_hz=30.0) for name in ("front", "side", "overhead"))
 SIZE = 96, 128  # height and width of compared images
+FULL = {"height": 480, "width": 640}
 START_S = 30.0
 
 
@@ -57,25 +61,33 @@ def recording(file, folder):
 
 
 def late(seconds, stretches):
-    """Return late and all periods without and with cameras, and the number of pairs that were given up."""
-    found, given_up = {False: [], True: []}, 0
-    while len(found[True]) < stretches and given_up < stretches:
+    """Return late and all periods without and with cameras, the ratio of images written, and stretches given up.
+
+    A pair of which one was given up, because the machine was too busy to move arms at all, is repeated on a new cell.
+    """
+    found, given_up, written = {False: [], True: []}, {False: 0, True: 0}, []
+    while len(found[True]) < stretches and sum(given_up.values()) < stretches:
         with tempfile.TemporaryDirectory() as folder, CellForTests(Path(folder), task="SineTracking") as cell:
             file = load_cell_file(cell.path)
             env, policy = make("SineTracking", "scripted", {"cell": str(cell.path)}, 0)
+            recorded = False
             try:
                 first = True
                 while len(found[True]) < stretches:
+                    recorded = False
                     without = live_page.stretch(env, policy, seconds, first=first)
-                    first = False
+                    first, recorded = False, True
                     with recording(file, Path(folder)):
+                        begun = time.monotonic()
                         beside = live_page.stretch(env, policy, seconds, first=False)
+                        wanted = CAMERAS[0].rate_hz * (time.monotonic() - begun) * len(CAMERAS)
                     found[False].append(without)
                     found[True].append(beside)
+                    written.append(min(1.0, frames_in(Path(folder)) / wanted))
                     print(f"late without {without}, with {beside}, {live_page.load()}", flush=True)
             except CellFaulted as error:
-                given_up += 1
-                print(f"{live_page.load()}: {error}", flush=True)
+                given_up[recorded] += 1
+                print(f"given up {'with' if recorded else 'without'} cameras, {live_page.load()}: {error}", flush=True)
             finally:
                 env.close()
     if not found[True]:
@@ -85,13 +97,19 @@ def late(seconds, stretches):
         "late": [count, beside],
         "periods": [periods, all_beside],
         "late_extra": round(beside / max(1, all_beside) - count / max(1, periods), 5),
-        "given_up": given_up,
+        "written": round(float(np.mean(written)), 3),
+        "given_up": [given_up[False], given_up[True]],
         "load": live_page.load(),
     }
 
 
+def frames_in(folder):
+    """Return the number of images in the videos of the cameras."""
+    return sum(1 for each in CAMERAS for _ in read_video(folder / video_name(each.name)))
+
+
 def times(seconds):
-    """Return the largest error of a time in the videos of three cameras, ms."""
+    """Return the largest error of a time in the videos of three cameras, ms, and the number of images."""
     with tempfile.TemporaryDirectory() as folder, VirtualCell() as cell:
         begin_s = LOCAL.clock.now_s()
         with CameraRecord(cell.file.replace(camera=CAMERAS), None, Path(folder), begin_s, lambda *_: None):
@@ -137,10 +155,49 @@ def images():
     }
 
 
+def drawn_video(path, steps=50):
+    """Write images of a scripted Handover at 30 Hz, with noise of a standard deviation of 3."""
+    env, policy = policies.make("scripted", "DualUR10/Handover-v0", observation="both", cameras="front", **FULL)
+    observation, _ = env.reset(seed=0)
+    policy.reset()
+    generator = np.random.default_rng(0)
+    video = VideoRecord(path, (FULL["height"], FULL["width"]), 0.0)
+    for number in range(steps):
+        image = observation["pixels"]["front"] + generator.normal(0.0, 3.0, (*observation["pixels"]["front"].shape,))
+        video.add(Exposure(image.round().clip(0, 255).astype(np.uint8), number / 30))
+        observation = env.step(policy(observation["state"]))[0]
+    video.close()
+    env.close()
+
+
+def export(seconds):
+    """Return the processor time of an export in a second of the run."""
+    names = [each.name for each in CAMERAS]
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        drawn_video(folder / "drawn.mp4")
+        played = {"kind": "file", "file": str(folder / "drawn.mp4"), "repeat": True}
+        with VirtualCell(task="SineTracking", file={"camera": [{"name": each, **played} for each in names]}) as cell:
+            keywords = {"cell": cell, "record": folder / "runs", "confirm": lambda _: True}
+            env, policy = policies.make("scripted", "DualUR10/SineTracking-v0", **keywords)
+            observation, _ = env.reset(seed=0)
+            policy.reset()
+            for _ in range(round(seconds / env.unwrapped.core.timing.period_s)):
+                observation, _, terminated, truncated, _ = env.step(policy(observation))
+                if terminated or truncated:
+                    observation, _ = env.reset()
+                    policy.reset()
+            env.close()
+        begin_s = time.process_time()
+        made = to_lerobot(runs_of([folder / "runs"]), folder / "set", cameras=names, size=(480, 640))
+        spent_s = time.process_time() - begin_s
+    return {"export_s_per_s": round(spent_s * made.fps / made.frames, 3), "frames_exported": made.frames}
+
+
 def main():
     """Measure, print and write the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--parts", default="late,times,images")
+    parser.add_argument("--parts", default="late,times,images,export")
     parser.add_argument("--seconds", type=float, default=10.0, help="length of a stretch")
     parser.add_argument("--stretches", type=int, default=6, help="stretches with cameras, and as many without")
     parser.add_argument("--json", type=Path, help="write the figures to this file")
@@ -153,8 +210,10 @@ def main():
             figures |= times(min(options.seconds, 10.0))
         elif part == "images":
             figures |= images()
+        elif part == "export":
+            figures |= export(6.0 * options.seconds)
         else:
-            raise SystemExit(f"there is no part {part!r}: name some of late, times, images")
+            raise SystemExit(f"there is no part {part!r}: name some of late, times, images, export")
     for name, value in figures.items():
         print(f"{name:20} {value}")
     if options.json:

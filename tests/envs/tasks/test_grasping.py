@@ -10,7 +10,7 @@ from dual_ur10.assets.settings import Equipment, home_q_rad
 from dual_ur10.envs.core.core import Core
 from dual_ur10.envs.tasks.geometry import APPROACH_M, frame_of
 from dual_ur10.envs.tasks.goal_fields import GOAL_FIELDS
-from dual_ur10.envs.tasks.grasping import GraspingTask, Grip
+from dual_ur10.envs.tasks.grasping import SLOW, GraspingTask, Grip, Lead
 from dual_ur10.envs.tasks.observation_layout import ARM_FIELDS, Field, ObservationLayout
 from dual_ur10.envs.tasks.staged import stage
 from dual_ur10.envs.tasks.task import SceneRequirements, Timing
@@ -145,6 +145,42 @@ def test_observations_lead_each_tool_to_its_grip():
         np.testing.assert_allclose(behind[:, :2], 0.0, atol=1e-9)
         assert ((behind[:, 2] <= 1e-9) & (behind[:, 2] >= -APPROACH_M - 1e-9)).all()
     assert fields["goal_opening"].all()  # far from its grip a gripper opens
+
+
+class Leaving(Two):
+    """Both arms open after their grips."""
+
+    def lead(self, state, measured):
+        return Lead(measured.tools, np.zeros((N, 2), dtype=bool))
+
+
+@pytest.mark.parametrize("wider_m", [0.0, 0.003, 0.03])
+def test_fingers_touch_and_leave_an_object_by_small_steps(wider_m):
+    task = made(Leaving)
+    cell = task.cell
+    q_rad = np.tile(home_q_rad((cell.left, cell.right)), (N, 1, 1))
+    found = [flange_pose_quat(q_rad[:, arm], mount.dh) for arm, mount in enumerate((cell.left, cell.right))]
+    base = (np.stack(each, axis=1) for each in zip(*found, strict=True))
+    frames, (at_m, quat) = Frames((cell.left, cell.right)), base
+    flange = Poses(frames.position_to_cell(at_m), frames.quat_to_cell(quat))
+    tools = compose(flange, pose((0.0, 0.0, cell.equipment.tools[0].tcp_m)))
+    none = Poses(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+    objects = {"mark": random_poses(N)}
+    for arm, grip in enumerate(Two.grips):  # where the commanded tool is at the grip
+        objects[grip.prop] = compose(Poses(*(part[:, arm] for part in tools)), relative_to(grip.tool, none))
+    width_m = np.tile([0.04, 0.02], (N, 1)) + wider_m
+    state = state_of(task, objects, tools, width_m)
+    measured = task.measure(state)
+    assert measured.between.all()
+    opened = width_m / 0.085
+
+    def goal():
+        return task.layout.split(task.observe(state, measured, q_rad))["goal_opening"][..., 0]
+
+    assert measured.holding.all() == (wider_m == 0.0)
+    np.testing.assert_allclose(goal(), 0.0 if measured.holding.all() else opened - SLOW)
+    task.passed[:] = 1
+    np.testing.assert_allclose(goal(), 1.0 if wider_m > 0.007 else opened + SLOW)
 
 
 class Hinged(Two):

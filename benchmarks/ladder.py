@@ -67,20 +67,13 @@ class Rung:
 _GOALS: Final = {"observation": "goals", "action_mode": "tcp_delta"}
 _LIFT: Final = Rung(
     task="Handover",
-    keywords={
-        "observation": "goals",
-        "action_mode": "tcp_translation",
-        "gripper_action": "grip",
-        "until": "lift",
-        "object_turn_rad": 0.0,
-        "policy_rate_hz": 12.5,
-    },
-    steps={"ppo": 1_000_000, "sac": 300_000},
-    short=100,
+    keywords=example.LIFT,
+    steps={"ppo": example.LIFT_STEPS, "sac": 100_000},
+    short=example.LIFT_SHORT,
 )
 _HANDOVER: Final = Rung(
     task="Handover",
-    keywords={**_GOALS, "gripper_action": "grip", "policy_rate_hz": 12.5},
+    keywords={**_GOALS, "policy_rate_hz": 12.5},
     steps={"ppo": 5_000_000, "sac": 1_000_000},
     short=250,
 )
@@ -92,7 +85,7 @@ _HELD: Final = dataclasses.replace(
 _CARRY: Final = Rung(
     task="SyncCarry",
     keywords={**_GOALS, "action_scale": {"translation": 0.5, "rotation": 0.5}, "path_speed": True},
-    steps={"ppo": 2_000_000, "sac": 500_000},
+    steps={"ppo": 800_000, "sac": 500_000},
     short=900,
     log_std=-0.9,
 )
@@ -106,7 +99,7 @@ RUNGS: Final[dict[str, Rung]] = {
     "SineTracking-v0": Rung(task=example.SINE, keywords=example.SEEN, steps=example.STEPS, short=example.SHORT),
     "Handover-v0/lift": _LIFT,
     "Handover-v0/lift/25 Hz": dataclasses.replace(_LIFT.but(policy_rate_hz=25.0), short=200),
-    "Handover-v0/lift/stroke": _LIFT.but(gripper_action="stroke"),
+    "Handover-v0/lift/grip": _LIFT.but(gripper_action="grip"),
     "Handover-v0/lift/turned": _LIFT.but(action_mode="tcp_delta", object_turn_rad=0.5236),
     "Handover-v0/lift/progress": _LIFT.but(progress_weight=20.0),
     "SyncCarry-v0": _CARRY,
@@ -114,7 +107,7 @@ RUNGS: Final[dict[str, Rung]] = {
     "SyncCarry-v0/grip": _CARRY.but(gripper_action="grip"),
     "Handover-v0/held": _HELD,
     "Handover-v0/held/progress": _HELD.but(progress_weight=20.0),
-    "Handover-v0/held/stroke": _HELD.but(gripper_action="stroke"),
+    "Handover-v0/held/grip": _HELD.but(gripper_action="grip"),
     "Handover-v0/held/25 Hz": dataclasses.replace(_HELD.but(policy_rate_hz=25.0), short=500),
     "Handover-v0": _HANDOVER,
     "Handover-v0/progress": _HANDOVER.but(progress_weight=20.0),

@@ -155,6 +155,23 @@ def baselines(axis: Any, rows: Rows) -> None:
     axis.legend(frameon=False, fontsize=9.5, ncols=5, loc="lower left", bbox_to_anchor=(0.0, 1.0))
 
 
+def ladder(axis: Any, rows: Rows) -> None:
+    """Draw the success of each training of PPO over its steps."""
+    for each, colour in zip(rows, plt.colormaps["tab10"].colors, strict=False):
+        for number, curve in enumerate(each["curves"]):
+            steps = [point["steps"] / 1e3 for point in curve]
+            success = [100 * point["success"] for point in curve]
+            label = {"label": each["label"]} if number == 0 else {}
+            axis.semilogx(steps, success, color=colour, marker="o", ms=3, lw=1.2, alpha=0.8, **label)
+    axis.set_ylim(-3, 103)
+    axis.set_xticks([30, 100, 300, 1000, 2000], ["30", "100", "300", "1,000", "2,000"])
+    axis.minorticks_off()
+    axis.set_xlabel("thousand steps")
+    axis.set_ylabel("success, %")
+    axis.grid(alpha=0.3)
+    axis.legend(frameon=False, fontsize=9.5, loc="center right")
+
+
 class Diagram(NamedTuple):
     """Boxes and arrows.
 
@@ -266,6 +283,7 @@ PLOTS: dict[str, tuple[str, Callable[[Any, Rows], None]]] = {
     "noise": ("decisions/stock-learners", noise),
     "stages": ("decisions/stock-learners", stages),
     "baselines": ("reference/baselines", baselines),
+    "ladder": ("reference/ladder", ladder),
 }
 """Page and function of each plot by its name in the JSON of the page."""
 
@@ -282,6 +300,9 @@ def plot_of(name: str) -> dict[str, Any]:
             "title": "Baselines",
             "rows": [{"label": task.partition("-v")[0], **row} for task, row in found.items()],
         }
+    if name == "ladder":
+        rows = [{"label": rung.replace("-v0", ""), **each["ppo"]} for rung, each in found.items() if "ppo" in each]
+        return {"title": "Stock PPO on the rungs of the ladder", "rows": rows}
     plot: dict[str, Any] = found[name]
     return plot
 

@@ -122,6 +122,20 @@ def agreement() -> str:
     return "\n\n".join([_table(rows), _table(figures), *notes])
 
 
+def ladder() -> str:
+    """Return the table of learners on the rungs of the ladder."""
+    found: dict[str, Any] = json.loads((Path(__file__).parent / "reference" / "ladder.json").read_text())
+    rows = [("rung", "learner", "success, %, by seed", "thousand steps", "thousand steps to 90 %", "minutes")]
+    for rung, learners in found.items():
+        for number, (learner, row) in enumerate(learners.items()):
+            percents = [f"{100 * each / row['of']:.0f}" for each in row["successes"]]
+            steps = ["–" if each is None else f"{each / 1000:.0f}" for each in row["steps_to_90"]]
+            minutes = [f"{each:.0f}" for each in row["minutes"]]
+            lists = (", ".join(each) for each in (percents, [f"{row['steps'] / 1000:,.0f}"], steps, minutes))
+            rows.append((rung.replace("-v0", "") if number == 0 else "", learner, *lists))
+    return _table(rows)
+
+
 _BASELINES = ("policy", "nominal", "mild", "wide", "learned from")
 
 
@@ -281,6 +295,7 @@ TABLES = {
     "reference/robots.md": ("<!-- table of robots -->", robots),
     "reference/urscript.md": ("<!-- table of URScript -->", urscript),
     "reference/baselines.md": ("<!-- table of baselines -->", baselines),
+    "how-to/train-your-own.md": ("<!-- table of the ladder -->", ladder),
     "how-to/evaluate.md": ("<!-- table of agreement -->", agreement),
 }
 """Marks that generated tables replace, by page."""

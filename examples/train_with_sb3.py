@@ -1,4 +1,4 @@
-"""Stock Stable-Baselines3, from scratch: python examples/train_with_sb3.py [PPO|SAC|TD3] [--task SineTracking].
+"""Stock Stable-Baselines3, from scratch: python examples/train_with_sb3.py [PPO|SAC|TD3] [--task Handover] [--lift].
 
 It prints the curve of its training: what the policy does without exploration, in whole episodes that it does not learn
 from. The result is a checkpoint, with PPO and SAC; the last line that it prints is the
@@ -68,6 +68,15 @@ OBJECTS_SETTINGS: dict[str, Any] = {
     "n_steps": 32,
     "batch_size": 1024,
 }
+# Handover until the block is lifted: steps of the tools without turns, and half of the decisions.
+LIFT: dict[str, Any] = {
+    "observation": "goals",
+    "action_mode": "tcp_translation",
+    "until": "lift",
+    "policy_rate_hz": 12.5,
+    "object_turn_rad": 0.0,
+}
+LIFT_SHORT, LIFT_STEPS = 100, 250_000
 OBJECTS_LOG_STD = {"SyncCarry": -0.9}  # of others -1.3
 OBJECTS_SHORT = {"SyncCarry": 900}  # of others 500
 OBJECTS_STEPS = {"SyncCarry": 1_000_000}  # of others 1,500,000
@@ -166,20 +175,23 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("algorithm", nargs="?", default="PPO", choices=list(SETTINGS))
     parser.add_argument("--task", default=SINE, help="a task whose arms grip objects, or SineTracking")
+    parser.add_argument("--lift", action="store_true", help="Handover until the block is lifted")
     parser.add_argument("--steps", type=int, default=0, help="of the environment; 0: as many as the curve has")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", help="new folder of the checkpoint")
     args = parser.parse_args()
-    if args.task != SINE and args.algorithm != "PPO":
+    task, seen, steps, short = args.task, keywords_of(args.task), args.steps, 0
+    if args.lift:
+        task, seen, steps, short = "Handover", LIFT, steps or LIFT_STEPS, LIFT_SHORT
+    if task != SINE and args.algorithm != "PPO":
         parser.error(f"{args.algorithm} has settings for {SINE} alone: choose PPO")
-    folder = checkpoint.check_new(args.out or f"{args.task.lower()}_{args.algorithm.lower()}")
-    model, _, minutes = train(args.algorithm, args.seed, args.steps, task=args.task)
+    folder = checkpoint.check_new(args.out or f"{task.lower()}_{args.algorithm.lower()}")
+    model, _, minutes = train(args.algorithm, args.seed, steps, task=task, short=short, **seen)
     print(f"{minutes:.1f} min without the checks")
     if args.algorithm == "TD3":
         model.save(folder)  # a pickle: read only your own
     else:  # a checkpoint holds numbers and text only, is checked against its environment, and runs without torch
-        agents = "joint" if args.task == SINE and args.algorithm == "PPO" else "shared"
-        seen = keywords_of(args.task)
-        checkpoint.save(folder, *converted(model, f"DualUR10/{args.task}-v0", agents=agents, **seen))
+        agents = "joint" if task == SINE and args.algorithm == "PPO" else "shared"
+        checkpoint.save(folder, *converted(model, f"DualUR10/{task}-v0", agents=agents, **seen))
         settings = " ".join(f"--set '{name}={json.dumps(value)}'" for name, value in seen.items())
-        print(f"python -m dual_ur10 evaluate {args.task} --policy {folder} {settings}")
+        print(f"python -m dual_ur10 evaluate {task} --policy {folder} {settings}")

@@ -363,28 +363,58 @@ def test_the_page_of_own_tasks_shows_the_example():
     assert next(blocks(DOCS / "how-to" / "own-task.md", "python")) in (ROOT / "examples" / "own_task.py").read_text()
 
 
-def test_the_start_for_learners_is_what_the_example_runs():
-    """The README's settings, keywords, cells and steps of PPO are those whose curve and figures are stated."""
+def test_the_starts_for_learners_are_what_the_example_runs():
+    """The README's settings, keywords, cells and steps of PPO are those whose curves and figures are stated."""
     example = ast.parse((ROOT / "examples" / "train_with_sb3.py").read_text())
-    targets = {each.targets[0].id: each.value for each in example.body if isinstance(each, ast.Assign)}
+    targets = {ast.unparse(each.targets[0]): each.value for each in example.body if isinstance(each, ast.Assign)}
     targets |= {each.target.id: each.value for each in example.body if isinstance(each, ast.AnnAssign)}
-    (start,) = (code for code in blocks(ROOT / "README.md", "python") if "PPO(" in code)
-    assert len(start.strip().splitlines()) <= 10
-    named, told = {}, ast.parse(start)
-    for node in ast.walk(told):
-        if isinstance(node, ast.Call):
-            given = {each.arg: ast.unparse(each.value) for each in node.keywords if each.arg}
-            named[ast.unparse(node.func)] = given, [ast.unparse(each) for each in node.args]
-    (settings,) = (node.value for node in told.body if "settings" in ast.unparse(node).split(" =")[0])
-    entries = _texts(settings) | named["PPO"][0]
-    assert entries.pop("verbose") == "1"
-    assert entries == _texts(targets["SETTINGS"])["PPO"]
-    assert len(entries) <= 5
-    keywords, (task, cells) = named["JointVecEnv"]
-    assert task == "'SineTracking'"
+    numbers = dict(zip(("LIFT_SHORT", "LIFT_STEPS"), _assigned(example, "LIFT_SHORT"), strict=True))
+    sine, lift = (code for code in blocks(ROOT / "README.md", "python") if "PPO(" in code)
+    named, keywords = _start(sine)
+    assert named["entries"] == _texts(targets["SETTINGS"])["PPO"]
+    assert (named["env"], named["task"], named["cells"]) == ("JointVecEnv", "'SineTracking'", "64")
     assert keywords == _texts(targets["SEEN"]) | {"max_episode_steps": ast.unparse(targets["SHORT"])}
-    assert cells == _texts(targets["CELLS"])["PPO"]
-    assert named["model.learn"][1] == [_texts(targets["STEPS"])["PPO"]]
+    assert _texts(targets["CELLS"])["PPO"] == "64"
+    assert named["steps"] == _texts(targets["STEPS"])["PPO"]
+    named, keywords = _start(lift)
+    exploration = {"policy_kwargs": "{'log_std_init': -1.3}"}
+    assert named["entries"] == _texts(targets["OBJECTS_SETTINGS"]) | exploration
+    assert "OBJECTS_LOG_STD.get(task, -1.3)" in ast.unparse(example)
+    assert (named["env"], named["task"], named["cells"]) == ("TwoAgentVecEnv", "'Handover'", "64")
+    assert keywords == _texts(targets["LIFT"]) | {"max_episode_steps": numbers["LIFT_SHORT"], "reward": "'individual'"}
+    assert named["steps"] == f"2 * {numbers['LIFT_STEPS']}"
+
+
+def _start(code):
+    """Return settings, cells and steps of a start for learners, and the keywords of its environment."""
+    assert len(code.strip().splitlines()) <= 16
+    told, seen, entries = ast.parse(code), {}, {}
+    for node in told.body:
+        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Dict):
+            (entries if node.targets[0].id == "settings" else seen).update(_texts(node.value))
+    calls = {ast.unparse(node.func): node for node in ast.walk(told) if isinstance(node, ast.Call)}
+    (env,) = (name for name in calls if name.endswith("VecEnv"))
+    given = {
+        name: {each.arg: ast.unparse(each.value) for each in node.keywords if each.arg} for name, node in calls.items()
+    }
+    entries |= given["PPO"]
+    assert entries.pop("verbose") == "1"
+    assert len(entries) <= 5
+    task, cells = map(ast.unparse, calls[env].args)
+    (steps,) = map(ast.unparse, calls["model.learn"].args)
+    return {"env": env, "task": task, "cells": cells, "entries": entries, "steps": steps}, seen | given[env]
+
+
+def _assigned(module, first):
+    """Return the texts of the values that are assigned together with a name."""
+    (found,) = (
+        each.value.elts
+        for each in module.body
+        if isinstance(each, ast.Assign)
+        and isinstance(each.targets[0], ast.Tuple)
+        and each.targets[0].elts[0].id == first
+    )
+    return [ast.unparse(each) for each in found]
 
 
 def _texts(node):
@@ -482,7 +512,7 @@ PYTHON = [path for path in PAGES if any(blocks(path, "python"))]
 
 @pytest.mark.parametrize("path", PYTHON, ids=page_id)
 def test_python_blocks_run(path, workplace, tmp_path):
-    code = re.sub(r"\.learn\([\d_]+", ".learn(1024", "\n".join(blocks(path, "python")))
+    code = re.sub(r"\.learn\([\d_ *]+", ".learn(1024", "\n".join(blocks(path, "python")))
     if "stable_baselines3" in code:
         pytest.importorskip("stable_baselines3")
     if "dm_control" in code:

@@ -101,7 +101,7 @@ def test_minaris_own_collector_collects(by_agent):
 
 def test_read_samples_are_the_recorded_ones():
     made(episodes=1)
-    observation, action, episode = read_dataset("ur10/sine/scripted-v0", view_of(SINE, KEYWORDS))
+    observation, action, episode, _ = read_dataset("ur10/sine/scripted-v0", view_of(SINE, KEYWORDS))
     policy = policies.load("scripted", SINE, **KEYWORDS)
     assert observation.shape == (50, 94)
     assert not episode.any()
@@ -112,7 +112,7 @@ def test_read_samples_are_the_recorded_ones():
 def test_only_successful_episodes_are_read():
     made("ur10/other-v0", policy="scripted", episodes=2)
     view = view_of(SINE, KEYWORDS)
-    whole, _, episode = read_dataset("ur10/other-v0", view)
+    whole, _, episode, _ = read_dataset("ur10/other-v0", view)
     dataset = minari.load_dataset("ur10/other-v0")
     dataset.storage.update_episode_metadata([{"success": "false"}], [0])
     half, *_ = read_dataset("ur10/other-v0", view)

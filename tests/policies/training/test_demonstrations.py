@@ -80,7 +80,7 @@ def test_episodes_begin_are_kept_and_are_thrown_away_by_buttons(tmp_path):
     assert all(each.infos["intervention"][1:].all() for each in dataset)
     stated = list(dataset.storage.get_episode_metadata(range(2)))
     assert [(each["success"], each["seed"]) for each in stated] == [("true", 4), ("true", 6)]
-    _, actions, _ = read_dataset(NAME, view_of(f"DualUR10/{TASK}-v0", KEYWORDS))
+    _, actions, _, _ = read_dataset(NAME, view_of(f"DualUR10/{TASK}-v0", KEYWORDS))
     assert actions.shape == (11, 12)
     assert actions[:, :3].any()
     with pytest.raises(DatasetError, match=r"What was kept is in .*ur10-sine-person-v0"):

@@ -125,14 +125,13 @@ def agreement() -> str:
 def ladder() -> str:
     """Return the table of learners on the rungs of the ladder."""
     found: dict[str, Any] = json.loads((Path(__file__).parent / "reference" / "ladder.json").read_text())
-    rows = [("rung", "learner", "success, %, by seed", "thousand steps", "thousand steps to 90 %", "minutes")]
+    rows = [("rung, learner", "success, %, by seed", "thousand steps", "minutes")]
     for rung, learners in found.items():
-        for number, (learner, row) in enumerate(learners.items()):
-            percents = [f"{100 * each / row['of']:.0f}" for each in row["successes"]]
-            steps = ["–" if each is None else f"{each / 1000:.0f}" for each in row["steps_to_90"]]
-            minutes = [f"{each:.0f}" for each in row["minutes"]]
-            lists = (", ".join(each) for each in (percents, [f"{row['steps'] / 1000:,.0f}"], steps, minutes))
-            rows.append((rung.replace("-v0", "") if number == 0 else "", learner, *lists))
+        for learner, row in learners.items():
+            percents = ", ".join(f"{100 * each / row['of']:.0f}" for each in row["successes"])
+            minutes = ", ".join(f"{each:.0f}" for each in row["minutes"])
+            label = f"{rung.replace('-v0', '').replace('/', ', ')}: {learner.upper()}"
+            rows.append((label, percents, f"{row['steps'] / 1000:,.0f}", minutes))
     return _table(rows)
 
 

@@ -336,9 +336,10 @@ def _scripted(env_id: str, keywords: Mapping[str, Any]) -> Policy:
     from dual_ur10.envs.core.options import EnvOptions
 
     classes = scripts_of(env_id)
-    if keywords.get("observation") == "goals":
+    if (observation := keywords.get("observation", "state")) != "state":
         raise SettingsError(
-            "observation is 'goals', and scripted policies read all fields of the task: use observation='state'"
+            f"observation is {observation!r:.40}, and scripted policies read all fields of the task and no image: use "
+            "observation='state'. A record has the images of all cameras of the cell file all the same"
         )
     mode = str(keywords.get("action_mode", EnvOptions.action_mode))
     path = classes.get(mode) or classes.get("")

@@ -32,6 +32,8 @@ class Expert:
     """
 
     def __init__(self, env_id: str, rows: int, low: Single, high: Single, **keywords: Any) -> None:
+        if keywords.get("observation") == "both":
+            keywords = {**keywords, "observation": "state"}  # the numbers beside the images
         self._policies: list[Policy] = [policies.load("scripted", env_id, **keywords) for _ in range(rows)]
         for each in self._policies:
             if isinstance(each, Teaching):

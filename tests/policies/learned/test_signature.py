@@ -68,8 +68,9 @@ def test_a_checkpoint_of_the_concise_view(tmp_path: Path, agents: str) -> None:
     assert checkpoint.load(tmp_path / "x").sha256 == policy.sha256  # its own keywords make the same view
     with pytest.raises(CheckpointError, match=r"view 'goals', the environment has 'state': .*observation='goals'"):
         checkpoint.load(tmp_path / "x", HANDOVER)
-    with pytest.raises(SettingsError, match="scripted policies read all fields"):
-        policies.load("scripted", HANDOVER, observation="goals")
+    for view in ("goals", "both", "pixels", "flat"):
+        with pytest.raises(SettingsError, match=f"{view}.*scripted policies read all fields"):
+            policies.load("scripted", HANDOVER, observation=view)
     env.close()
 
 

@@ -48,7 +48,6 @@ _ARGUMENTS: Final = (
     "settings",
     "tools",
     "grippers",
-    "closed_m",
 )
 """Arguments of a scripted policy, by which it knows the environment; see `ScriptedPolicy`."""
 
@@ -164,7 +163,7 @@ def load(name: str | os.PathLike[str], env_id: str | None = None, **keywords: An
     Args:
         name: One of `NAMES`; the path of a checkpoint's folder; or "package.module:Class", a class of your own. It is
             made with those of the arguments `timing`, `action_mode`, `action_scale`, `mounts`, `limits`, `settings`,
-            `tools`, `grippers` and `closed_m` that it takes; without an environment, with none. Or the address of a
+            `tools` and `grippers` that it takes; without an environment, with none. Or the address of a
             policy server, "remote:ws://HOST:PORT". Other text that contains a "/" or names an existing file is a path.
         env_id: Id of the environment, or its short form. None: that of the checkpoint; a name requires an id.
         **keywords: As for `gym.make`. A policy ignores those that concern neither task nor cell. Without `env_id` and
@@ -327,7 +326,6 @@ def arguments_of(setup: EnvSetup, names: Collection[str]) -> dict[str, Any]:
         "settings": setup.settings,
         "tools": setup.config.equipment.tools,
         "grippers": setup.config.equipment.grippers and not setup.config.equipment.welded,
-        "closed_m": setup.closed_m,
     }
     return {name: values[name] for name in names}
 
@@ -354,7 +352,6 @@ _INTERFACE: Final = (
     "policy_rate_hz",
     "action_mode",
     "action_scale",
-    "gripper_action",
     "action_latency_ticks",
     "compensate_lag",
     "observation",

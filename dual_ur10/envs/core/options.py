@@ -13,7 +13,7 @@ import numpy as np
 
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.sim2real.cell.cell_config import CellConfig
-from dual_ur10.sim2real.control.adapter import ActionMode, ActionScale, GripperAction, scale_of_steps
+from dual_ur10.sim2real.control.adapter import ActionMode, ActionScale, scale_of_steps
 from dual_ur10.sim2real.control.command_queue import checked_latency
 from ur_core.kinematics.robots import robot_model
 from ur_core.kinematics.ur10 import ARMS
@@ -56,10 +56,6 @@ class EnvOptions:
             0.3 of the speed limit. A number, or a mapping with a factor for some groups: "joints" of "joint_delta",
             "translation" and "rotation" of "tcp_delta", "translation" of "tcp_translation". Widths of grippers are no
             steps, nor are the actions of "joint_position", for which a scale other than 1 is refused.
-        gripper_action: Map of the last number of an arm's action to the width of its gripper. "stroke": -1 is closed
-            and 1 open. "grip": 0 and more is open, and -1 a little narrower than the object that this arm grips, so
-            that little of the action lies behind the contact, where it changes nothing. The same on two controllers.
-            Only for steps of the tools. With `observation="goals"` the width beyond the object is then observed, too.
         action_latency_ticks: Ticks from an observation to the first target of its action. 0 is an ideal system.
             Develop a policy for real arms with the latency that it will have. None: 0 in simulation, and the ticks of
             40 ms on two controllers.
@@ -119,7 +115,6 @@ class EnvOptions:
     policy_rate_hz: float = DEFAULT_RATE_HZ
     action_mode: ActionMode = "joint_delta"
     action_scale: ActionScale = 1.0
-    gripper_action: GripperAction = "stroke"
     action_latency_ticks: int | None = None
     compensate_lag: bool = True
     at_limits: AtLimits = "lead"
@@ -170,13 +165,6 @@ class EnvOptions:
         if self.action_mode not in get_args(ActionMode):
             raise UnknownNameError("action mode", str(self.action_mode), get_args(ActionMode))
         scale_of_steps(self.action_mode, self.action_scale)
-        if self.gripper_action not in get_args(GripperAction):
-            raise UnknownNameError("gripper_action", str(self.gripper_action), get_args(GripperAction))
-        if self.gripper_action == "grip" and self.action_mode not in ("tcp_delta", "tcp_translation"):
-            raise SettingsError(
-                f"gripper_action is 'grip', and action_mode {self.action_mode!r}: it is for steps of the tools, "
-                "'tcp_delta' or 'tcp_translation'"
-            )
         if self.observation not in get_args(ObservationKind):
             raise UnknownNameError("observation", str(self.observation), get_args(ObservationKind))
         if self.observation_dtype is not None and self.observation_dtype not in get_args(ObservationDtype):

@@ -18,7 +18,7 @@ from dual_ur10.ids import TASKS, env_id_of
 from dual_ur10.sim2real.cell.cell_config import CellConfig, HostedCell
 from dual_ur10.sim2real.cell.named_cell import resolve_cell
 from dual_ur10.sim2real.cell.perturbation import Perturbation
-from dual_ur10.sim2real.control.adapter import TIGHTER_M, ServojAdapter, scale_of_steps
+from dual_ur10.sim2real.control.adapter import ServojAdapter, scale_of_steps
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.limits import MotionLimits
 from ur_core.objects import load_object
@@ -136,7 +136,6 @@ class EnvSetup:
             timing=Timing(period_s, period_s + latency_ticks * tick_s),
         )
         setup._check_stages()
-        _ = setup.closed_m  # a task without objects is refused before anything is made
         if options.reward_weights:
             _ = setup.weights  # an unknown term is refused before anything is made
         return setup
@@ -208,28 +207,9 @@ class EnvSetup:
             SettingsError: Or one of its kinds: the arms cannot do it in this cell.
         """
         task = self.task_type(self.settings, self.config, self.timing, n)
-        if self.options.gripper_action == "grip":
-            task.grip_m = self.task_type.grip_widths_m(self.settings)
         if self.options.until is not None:
             cast("StagedTask[Any, Any, Any]", task).end_after(self.options.until)
         return task
-
-    @property
-    def closed_m(self) -> tuple[float, float] | None:
-        """Width of each gripper at its action of -1, where 0 is open; None: actions are of the whole stroke.
-
-        Raises:
-            SettingsError: `gripper_action` is "grip", and the task names no object for each gripper.
-        """
-        if self.options.gripper_action == "stroke":
-            return None
-        widths_m = self.task_type.grip_widths_m(self.settings)
-        if widths_m is None:
-            raise SettingsError(
-                f'gripper_action is "grip", and {self.env_id} names no object that each arm grips: leave it out'
-            )
-        left, right = (max(0.0, width - TIGHTER_M) for width in widths_m)
-        return left, right
 
     def make_clearance(self) -> Clearance:
         """Make the distances that the safety gate measures in this cell, as near as the task allows.
@@ -261,7 +241,6 @@ class EnvSetup:
             mode=options.action_mode,
             action_scale=options.action_scale,
             gripper=equipment.grippers and not equipment.welded,
-            closed_m=self.closed_m,
             compensate_lag=options.compensate_lag,
             dh=[mount.dh for mount in mounts],
             tcp_m=[tool.tcp_m if equipment.grippers else 0.0 for tool in equipment.tools],

@@ -111,12 +111,6 @@ class GraspingTask(StagedTask[SettingsT, Grasped, NowT], Generic[SettingsT, NowT
         if vars(cls).get("__doc__") and hasattr(cls, "settings_type"):
             cls.__doc__ = described(cls.__doc__ or "", cls)
 
-    @classmethod
-    def grip_widths_m(cls, settings: SettingsT) -> tuple[float, float]:
-        """Return the widths of both grips."""
-        left, right = cls.grips
-        return left.width_m, right.width_m
-
     def __init__(self, settings: SettingsT, cell: CellConfig, timing: Timing, n: int) -> None:
         super().__init__(settings, cell, timing, n, settings.duration_s)  # type: ignore[attr-defined]
         left, right = self.grips

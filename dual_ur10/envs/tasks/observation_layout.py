@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -133,8 +133,6 @@ class ObservationLayout:
 
 
 _POSTURE: Final = "commanded_q_rad"
-_WIDTH: Final = "gripper_m"
-_BEYOND_M: Final = (0.05, 0.005)  # units of a width beyond the object: the stroke, and the contact
 
 
 class ConciseView:
@@ -148,7 +146,6 @@ class ConciseView:
         layout: Fields of an arm.
         home_q_rad: (2, 6) home position of the joints.
         task: Name of the task, for the error.
-        grip_m: (2,) width of what each arm grips: the gripper's width beyond it is shown, too. None: it is not.
 
     Attributes:
         layout: Fields of the view. One with several units holds its values in the first unit, then in the next.
@@ -157,22 +154,13 @@ class ConciseView:
         SettingsError: The layout marks no field.
     """
 
-    def __init__(
-        self, layout: ObservationLayout, home_q_rad: Array, task: str, grip_m: Sequence[float] | None = None
-    ) -> None:
+    def __init__(self, layout: ObservationLayout, home_q_rad: Array, task: str) -> None:
         if not any(field.concise for field in layout.fields):
             raise SettingsError(
                 f"observation is 'goals', and {task} marks no field of its layout for it: give those that lead to its "
                 "goal their units, Field(..., concise=(0.1, 0.01)), or use observation='state'"
             )
         shown = [field for field in layout.fields if field.concise and field.name != _POSTURE]
-        if grip_m is not None:
-            beyond = (
-                replace(each, concise=_BEYOND_M, description="width between the fingers beyond the object")
-                for each in layout.fields
-                if each.name == _WIDTH
-            )
-            shown = [each for each in shown if each.name != _WIDTH] + [*beyond]
         shown = [replace(each, concise=(1.0,)) for each in layout.fields if each.name == _POSTURE] + shown
         self.layout = ObservationLayout(*map(_shown, shown))
         self._index = np.array([index for each in shown for index in layout.indices([each.name]) * len(each.concise)])
@@ -180,8 +168,6 @@ class ConciseView:
         self._origin = np.zeros((2, self.layout.size))
         if shown[0].name == _POSTURE:
             self._origin[:, :6] = home_q_rad
-        if grip_m is not None and _WIDTH in self.layout.names:
-            self._origin[:, self.layout.indices([_WIDTH])] = np.array(grip_m)[:, None]
 
     def __call__(self, observation: Array) -> Single:
         """Return the view, (n, 2 * layout.size), of observations, (n, 2 * size)."""

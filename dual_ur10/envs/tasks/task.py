@@ -96,8 +96,6 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
             minus and plus, and which `Randomization.object_spread` widens.
         sampled: Names of all settings that bound what every episode samples between minus and plus.
         horizon: Steps after which the time of an episode runs out; None: not known in advance.
-        grip_m: Width of what the left and the right arm grip, which `concise_view` shows the grippers beyond; None: it
-            does not.
         accepted: Subjects of findings of `dual_ur10.testing.audit` that are no fault of the task, each with the reason.
 
     Args:
@@ -118,7 +116,6 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
     sampled: ClassVar[tuple[str, ...]] = (*ranges, "target_range_m", "target_turn_rad")
     layout: ObservationLayout
     horizon: int | None = None
-    grip_m: tuple[float, float] | None = None
     accepted: ClassVar[Mapping[str, str]] = {}
 
     def __init__(self, settings: SettingsT, cell: CellConfig, timing: Timing, n: int) -> None:
@@ -141,8 +138,7 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
         Raises:
             SettingsError: The layout marks no field for it.
         """
-        home = home_q_rad((self.cell.left, self.cell.right))
-        return ConciseView(self.layout, home, type(self).__name__, self.grip_m)
+        return ConciseView(self.layout, home_q_rad((self.cell.left, self.cell.right)), type(self).__name__)
 
     @classmethod
     def covered(cls, trained: SettingsT, settings: SettingsT) -> frozenset[str]:
@@ -154,11 +150,6 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
     def requirements(cls, settings: SettingsT) -> SceneRequirements:
         """Return the scene that the task needs in the cell."""
         return SceneRequirements()
-
-    @classmethod
-    def grip_widths_m(cls, settings: SettingsT) -> tuple[float, float] | None:
-        """Return the width of what the left and the right arm grip; None: nothing, or not always the same."""
-        return None
 
     def at_home(self, rows: Rows) -> Start:
         """Return the starts of `rows` with both arms at home, open grippers, and props where their MJCF has them."""

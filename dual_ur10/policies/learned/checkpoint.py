@@ -375,7 +375,6 @@ _KEYWORD_OF: Final = {
     "rate.latency_ticks": "action_latency_ticks",
     "actions.mode": "action_mode",
     "kwargs.action_scale": "action_scale",
-    "kwargs.gripper_action": "gripper_action",
     **{f"kwargs.{name}": name for name in IMAGE_OPTIONS},
     "actions.compensate_lag": "compensate_lag",
 }
@@ -429,7 +428,7 @@ def _misfits(made: EnvironmentSignature, here: EnvironmentSignature) -> Iterator
             raise CheckpointError(f"its kwargs make no environment: {error!s:.300}") from error
         if not same:
             yield "kwargs.action_scale", then, now
-    for option in ("gripper_action", *(IMAGE_OPTIONS if made.view == here.view == "both" else ())):
+    for option in IMAGE_OPTIONS if made.view == here.view == "both" else ():
         then, now = (plain(each.kwargs.get(option, getattr(EnvOptions, option))) for each in (made, here))
         if then != now:
             yield f"kwargs.{option}", then, now

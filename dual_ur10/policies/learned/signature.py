@@ -32,7 +32,6 @@ OPTIONS: Final = (
     "policy_rate_hz",
     "action_mode",
     "action_scale",
-    "gripper_action",
     "action_latency_ticks",
     "compensate_lag",
     "randomization",

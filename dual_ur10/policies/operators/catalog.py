@@ -170,10 +170,8 @@ def operator_with(
         keys: Read the buttons from the keyboard of the terminal, too, if there is one and the device has none for them.
 
     Raises:
-        SettingsError: It is no device, or the actions of grippers are no widths of the whole stroke.
+        SettingsError: It is no device.
     """
-    if setup.closed_m is not None:
-        raise SettingsError('gripper_action is "grip", and an operator commands the whole stroke: leave it out')
     names = ("timing", "action_mode", "action_scale", "mounts", "limits", "tools", "grippers")
     view = setup.make_task().concise_view() if setup.options.concise else None
     clock = time.monotonic if paced and not setup.keeps_time else None

@@ -6,11 +6,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from dual_ur10.assets.settings import DEFAULT_TOOLS
 from dual_ur10.envs.tasks.task import Task, Timing
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.sim2real.control.adapter import TCP_ROTATION_RAD_S, TCP_STEP_M_S, ActionScale, scale_of_steps
-from ur_core.tools.tool import Tool, strokes_m
 from ur_core.types import Array, changed
 
 _MODES: Final = ("tcp_delta", "tcp_translation")
@@ -30,8 +28,6 @@ class GoalFollower:
         action_mode: "tcp_delta", or "tcp_translation" for tools that need no rotation.
         settings: Settings of the task; None: the default ones.
         action_scale: Factor of steps.
-        closed_m: As of `dual_ur10.sim2real.control.adapter.ServojAdapter`.
-        tools: Tools of both arms.
 
     Raises:
         UnknownNameError: Another action mode.
@@ -45,14 +41,10 @@ class GoalFollower:
         action_mode: str = "tcp_delta",
         settings: Any = None,
         action_scale: ActionScale = 1.0,
-        closed_m: tuple[float, float] | None = None,
-        tools: tuple[Tool, Tool] = DEFAULT_TOOLS,
     ) -> None:
         if action_mode not in _MODES:
             raise UnknownNameError("action mode of the goal follower", action_mode, _MODES)
         self._steps = 3 if action_mode == "tcp_translation" else 6
-        # Change of the opening from 1, of the whole stroke, at an action of -1.
-        self._closing = None if closed_m is None else 1.0 - np.array(closed_m) / np.array(strokes_m(tools))
         given: Any = task.settings_type() if settings is None else settings
         self._task, self._settings, self._rate_hz = task, given, 1.0 / timing.period_s
         self._layout, self._mode = task.layout_for(given), action_mode
@@ -82,9 +74,5 @@ class GoalFollower:
         step = np.concatenate([fields[name] for name in _STEPS], axis=-1)
         action = np.clip(_RATIO * step / self._most, -1.0, 1.0)[..., : self._steps]
         if "goal_opening" in fields:
-            opening = fields["goal_opening"]
-            width = 2.0 * opening - 1.0
-            if self._closing is not None:
-                width = np.maximum((opening - 1.0) / self._closing[:, None], -1.0)
-            action = np.concatenate([action, width], axis=-1)
+            action = np.concatenate([action, 2.0 * fields["goal_opening"] - 1.0], axis=-1)
         return action.reshape(*np.shape(observation)[:-1], -1).astype(np.float32)

@@ -36,8 +36,6 @@ from ur_core.types import Array, Rows
 
 ActionMode = Literal["joint_delta", "joint_position", "tcp_delta", "tcp_translation"]
 
-GripperAction = Literal["stroke", "grip"]
-
 ActionScale = float | Mapping[str, float]
 
 ACTION_GROUPS: Final[dict[str, dict[str, slice]]] = {
@@ -59,12 +57,6 @@ TCP_STEP_M_S = 0.25
 
 TCP_ROTATION_RAD_S = 0.5
 """Angular speed at action 1 of `tcp_delta`: the first speed that is safe to try on a real arm."""
-
-TIGHTER_M: Final = 0.006
-"""Width below that of its object to which a gripper closes at most with `gripper_action="grip"`.
-
-It is more than full force needs, and a small part of the stroke: commands behind contact change nothing.
-"""
 
 _ROUNDING = 1e-6  # bounds are float32 where a policy sees them
 
@@ -145,7 +137,6 @@ class ServojAdapter:
             first three numbers; each tool keeps the orientation that it has where an episode begins.
         action_scale: Factor of steps, above 0 and at most 1; see `scale_of_steps`.
         gripper: An action has a last number per arm, the gripper's width: -1 closed, 1 open.
-        closed_m: (2,) width of each gripper at -1, where 0 and more is open; None: closed, and 0 is half of the stroke.
         compensate_lag: Send targets ahead by the law's inverse, so that the arms do not lag.
         dh: The arms' kinematics, for "tcp_delta".
         tcp_m: (2,) distance of each tool centre point before its flange, for "tcp_delta".
@@ -168,7 +159,6 @@ class ServojAdapter:
         mode: ActionMode = "joint_delta",
         action_scale: ActionScale = 1.0,
         gripper: bool = False,
-        closed_m: Sequence[float] | None = None,
         compensate_lag: bool = True,
         dh: Sequence[DHParameters],
         tcp_m: Sequence[float] = (0.0, 0.0),
@@ -186,8 +176,6 @@ class ServojAdapter:
         self._tcp_m = tuple(tcp_m)
         self.action_scale = scale_of_steps(mode, action_scale)
         self.stroke_m: Array = np.array(stroke_m, dtype=np.float64)
-        # Change of the kernel's number, -1 closed and 1 open, over that of the action.
-        self._closing = None if closed_m is None else 2.0 * (1.0 - np.array(closed_m, dtype=np.float64) / self.stroke_m)
         self._cartesian = mode in ("tcp_delta", "tcp_translation")
         self._held: Array = np.tile(np.eye(3), (n, 2, 1, 1))  # orientations of the flanges in their bases
         self.speed_factor = speed_factor
@@ -320,13 +308,6 @@ class ServojAdapter:
             self._action[..., :3], self._action[..., 6:] = action[..., :3], action[..., 3:]
         else:
             self._action[:] = action
-        if self._closing is not None and self.gripper:
-            asked = self._action[..., 6].copy()
-            grip = 1.0 + self._closing * np.clip(asked, -1.0, 0.0)
-            self._action[..., 6] = np.where(np.isfinite(asked), grip, asked)
-            # The kernel counts a cell once, by the numbers that it sees: these are within the bounds there.
-            inside = (np.abs(self._action) <= 1.0 + _ROUNDING).all(axis=(1, 2))
-            self._clipped += inside & (np.abs(asked) > 1.0 + _ROUNDING).any(axis=1)
         if self._cartesian:
             self._cartesian_goal[:] = self._tcp_goal(self._action[..., :6]).reshape(self.n, 12)
         self._step()

@@ -114,7 +114,6 @@ def test_an_episode_ends_with_success_after_a_stage():
     """Steps of translation alone, at 12.5 Hz, are enough to lift a block that is not rotated."""
     keywords = {
         "action_mode": "tcp_translation",
-        "gripper_action": "grip",
         "until": "lift",
         "object_turn_rad": 0.0,
         "policy_rate_hz": 12.5,
@@ -140,10 +139,6 @@ def test_an_episode_ends_with_success_after_a_stage():
         ("Handover", {"until": "lfit"}, UnknownNameError, "in until"),
         ("SyncCarry", {"starts": {"grasp": 0.2}}, SettingsError, "has none"),
         ("SineTracking", {"until": "lift"}, SettingsError, "has none"),
-        ("Handover", {"gripper_action": "grib", **MODE}, UnknownNameError, "did you mean 'grip'"),
-        ("Handover", {"gripper_action": "grip"}, SettingsError, "for steps of the tools"),
-        ("SineTracking", {"gripper_action": "grip", **MODE}, SettingsError, "names no object"),
-        ("SyncCarry", {"gripper_action": "grip", "grasp": "rigid", **MODE}, SettingsError, "names no object"),
         (
             "Handover",
             {"action_mode": "tcp_translation", "action_scale": {"rotation": 0.5}},
@@ -164,11 +159,3 @@ def test_a_stage_that_the_script_does_not_reach_is_refused(monkeypatch):
     monkeypatch.setattr(script_states, "_gathered", lambda core, policy, stages: ([], {}))
     with pytest.raises(SettingsError, match="leave 'lift' out of starts"):
         Core("Handover", {"starts": {"lift": 0.5}})
-
-
-def test_the_grippers_width_is_observed_beyond_the_object():
-    core, observation = begun(1, observation="goals", gripper_action="grip")
-    columns = core._view.layout.indices(["gripper_m"])
-    beyond_m = core.state.gripper_m[0, 0] - 0.04
-    shown = observation.reshape(2, -1)[0, columns]
-    np.testing.assert_allclose(shown, [beyond_m / (0.05 + beyond_m), beyond_m / (0.005 + beyond_m)], atol=1e-6)

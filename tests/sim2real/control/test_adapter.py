@@ -691,18 +691,3 @@ def test_steps_of_translation_keep_the_orientation_of_each_tool():
     for (begin_m, begin), (end_m, end) in zip(before, after, strict=True):
         assert np.linalg.norm(end_m - begin_m) > 0.02
         np.testing.assert_allclose(end, begin, atol=1e-6)
-
-
-def test_a_gripper_action_of_the_grip_is_open_at_zero_and_closes_a_little_beyond_the_object():
-    adapter = at_home(mode="tcp_delta", gripper=True, closed_m=(0.034, 0.02))
-    widths_m = []
-    for number in (-2.0, -1.0, -0.5, 0.0, 1.0, 3.0, -0.5, np.nan, np.inf):
-        action = np.zeros((1, 2, 7))
-        action[..., 6] = number
-        widths_m.append(adapter(action).gripper_m[0, -1])
-    assert adapter.clipped_actions == 3  # -2, 3 and the infinite one, which moves nothing
-    open_m = adapter.stroke_m
-    closed_m = np.array([0.034, 0.02])
-    half_m = (open_m + closed_m) / 2
-    wanted = [closed_m, closed_m, half_m, open_m, open_m, open_m, half_m, half_m, half_m]
-    np.testing.assert_allclose(widths_m, wanted, atol=1e-12)

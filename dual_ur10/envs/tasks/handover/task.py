@@ -13,7 +13,7 @@ from dual_ur10.assets.settings import Equipment
 from dual_ur10.envs.tasks.geometry import PICKING, Number, length, numbers, ratio, required
 from dual_ur10.envs.tasks.goal_fields import GOAL_FIELDS, goal_values, gripper_values
 from dual_ur10.envs.tasks.grasps import Grasped
-from dual_ur10.envs.tasks.handover.goals import LIFTED_M, MEETING_RANGE_M, WIDTH_M, HandoverGoals, Situation
+from dual_ur10.envs.tasks.handover.goals import LIFTED_M, MEETING_RANGE_M, HandoverGoals, Situation
 from dual_ur10.envs.tasks.handover.settings import HandoverSettings, block_pose, check_reach
 from dual_ur10.envs.tasks.observation_layout import (
     ARM_FIELDS,
@@ -365,11 +365,6 @@ class Handover(StagedTask[HandoverSettings, HandoverMeasured, Facts]):
         """Return the requirements: two grippers and the block."""
         equipment = Equipment(grippers=True, props=(BLOCK, TARGET), grip_force_n=settings.grip_force_n)
         return SceneRequirements(equipment, closer=PICKING)
-
-    @classmethod
-    def grip_widths_m(cls, settings: HandoverSettings) -> tuple[float, float]:
-        """Return the width of the block for both arms."""
-        return WIDTH_M, WIDTH_M
 
     def start(self, rows: Rows, rngs: Sequence[np.random.Generator]) -> Start:
         """Sample giver, block pose and target pose. The arms are above the table, with open grippers."""

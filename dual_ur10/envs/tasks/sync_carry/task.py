@@ -8,7 +8,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from dual_ur10.assets.props import BAR, BAR_MASS_KG, BAR_WELDS, BAR_WIDTH_M
+from dual_ur10.assets.props import BAR, BAR_MASS_KG, BAR_WELDS
 from dual_ur10.assets.settings import Equipment, home_q_rad
 from dual_ur10.envs.tasks.geometry import APPROACH_M, PICKING, FrameDistances, flanges_of, length, required
 from dual_ur10.envs.tasks.goal_fields import GOAL_FIELDS, GRIPPER_FIELDS, goal_values, gripper_values
@@ -304,11 +304,6 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
             grip_force_n=settings.grip_force_n,
         )
         return SceneRequirements(equipment, 0.002 if settings.rigid else 0.001, COMPLIANT, PICKING)
-
-    @classmethod
-    def grip_widths_m(cls, settings: CarrySettings) -> tuple[float, float] | None:
-        """Return the width of the bar for both arms; None: they are welded to it."""
-        return None if settings.rigid else (BAR_WIDTH_M, BAR_WIDTH_M)
 
     def start(self, rows: Rows, rngs: Sequence[np.random.Generator]) -> Start:
         """Sample the bar's pose. The grippers are open above its nominal position, or welded to it."""

@@ -72,9 +72,9 @@ def audit(
             raise SettingsError(f"the keyword {name} is set by the audit: leave it out")
     if env_kwargs.get("action_mode") == "joint_position":
         raise SettingsError("action_mode is 'joint_position': the audit stops arms by actions of 0, use 'joint_delta'")
-    if env_kwargs.get("action_mode") == "tcp_translation" or env_kwargs.get("gripper_action") == "grip":
+    if env_kwargs.get("action_mode") == "tcp_translation":
         raise SettingsError(
-            "the audit closes grippers by a seventh number of -1: use another action_mode, and 'stroke'"
+            "action_mode is 'tcp_translation': the audit closes grippers by a seventh number of -1, use 'tcp_delta'"
         )
     for policy in (cheats or {}).values():  # before anything runs
         load_named(policy if isinstance(policy, str) else as_policy(policy), env_id, env_kwargs)

@@ -54,8 +54,9 @@ def add_episodes(env_id: str, name: str, result: Result, most: int) -> None:
 def add_virtual(env_id: str, result: Result) -> None:
     """Add the next episode on a virtual cell to a task's result."""
     successes, of = result.setdefault("virtual", [0, 0])
-    with VirtualCell(task=env_id.partition("/")[2].partition("-v")[0], plant="mild") as cell:
-        env, policy = cell.make(env_id, **KEYWORDS.get(env_id, {})), load("scripted", env_id, cell=cell)
+    given = KEYWORDS.get(env_id, {})
+    with VirtualCell(task=env_id, settings=given, plant="mild") as cell:
+        env, policy = cell.make(env_id, **given), load("scripted", env_id, cell=cell, **given)
         observation, info = env.reset(seed=of)
         over = False
         while not over:

@@ -22,12 +22,11 @@ from dual_ur10.cli.options import (
     check_extras,
     console,
     errors,
-    keywords_of,
     progress_of,
     randomize,
     record_in,
 )
-from dual_ur10.cli.session import asks, close, make, on_virtual
+from dual_ur10.cli.session import asks, close, keywords_on, make
 from dual_ur10.ids import env_id_of
 from ur_core.processes.interrupts import INTERRUPTED
 
@@ -114,7 +113,7 @@ def collect(
 
     check_extras(("data", "a dataset"), cell=cell, devices=[operator, takeover])
     env_id = env_id_of(env)
-    keywords = keywords_of(settings, False, on_virtual(cell, env_id), arm)
+    keywords = keywords_on(cell, env_id, settings, False, arm)
     randomize(keywords, randomization)
     source = "operator" if operator or takeover else Path(policy).name
     name = dataset or f"dual-ur10/{env_id.split('/')[1].rsplit('-v', 1)[0].lower()}/{source}-v0"

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from dual_ur10.cli.options import ArmFamily, Left, Right
+from dual_ur10.cli.options import ArmFamily, Left, Right, Settings, keywords_of
 from ur_emulator.cli import DhError, Plant, Polyscope, Powered, Programs, Seed, View, log_warnings, serve
 from ur_emulator.world.plant import PlantOptions
 
@@ -32,6 +32,7 @@ def emulate(
             "with nothing to handle.",
         ),
     ] = None,
+    settings: Settings = None,
     tool: Annotated[
         str | None,
         typer.Option(
@@ -62,6 +63,7 @@ def emulate(
         robot=_of_each(robot),
         polyscope=polyscope,
         task=task,
+        settings=keywords_of(settings, perturbed=False),
         tools=_of_each(tool),
         plant=plant,
         seed=seed,

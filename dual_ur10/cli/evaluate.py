@@ -23,7 +23,6 @@ from dual_ur10.cli.options import (
     Settings,
     check_extras,
     console,
-    keywords_of,
     progress_of,
     randomize,
 )
@@ -33,9 +32,9 @@ from dual_ur10.cli.session import (
     check_leader,
     check_min_success,
     conclude,
+    keywords_on,
     late_text,
     make_operator,
-    on_virtual,
     power_on,
 )
 from dual_ur10.errors import SettingsError
@@ -116,7 +115,7 @@ def evaluate(
             f"{'--cell' if cell is not None else '--csv'} is for one task, found {', '.join(env_ids)}: run the command "
             "once for each"
         )
-    keywords = keywords_of(settings, perturbed, on_virtual(cell, env_ids[0]), arm)
+    keywords = keywords_on(cell, env_ids[0], settings, perturbed, arm)
     randomize(keywords, randomization)
     if no_record and record is not None:
         raise SettingsError("--record and --no-record do not go together: leave one out")

@@ -23,10 +23,9 @@ from dual_ur10.cli.options import (
     check_extras,
     console,
     errors,
-    keywords_of,
     randomize,
 )
-from dual_ur10.cli.session import STOP_COMMANDED, close, make, on_virtual, power_on
+from dual_ur10.cli.session import STOP_COMMANDED, close, keywords_on, make, power_on
 from dual_ur10.envs.rendering.live.attendance import UNATTENDED_S
 from dual_ur10.envs.rendering.live.guard import PORT
 from dual_ur10.errors import SettingsError
@@ -112,7 +111,7 @@ def live(
     if unattended and (watches or cell is None):
         raise SettingsError("--unattended is for a page that commands a cell: add --command, or leave it out")
     check_extras(PAGE_EXTRA, cell=cell, devices=[operator], moves=not watches)
-    keywords = keywords_of(settings, perturbed, on_virtual(cell, env_id_of(env)), arm)
+    keywords = keywords_on(cell, env_id_of(env), settings, perturbed, arm)
     randomize(keywords, randomization)
     setup = setup_for(env, policy, keywords)
     buttons = () if watches else buttons_of(setup, takes=policy is not None and operator != NOBODY)

@@ -81,7 +81,7 @@ def replay(
             bar = progress.add_task("playing")
             found = play(
                 recorded,
-                on_virtual(cell, recorded.header.env_id),
+                on_virtual(cell, recorded.header.env_id, recorded.header.kwargs),
                 episode=episode,
                 keywords=keywords,
                 on_step=lambda done, total: progress.update(bar, completed=done, total=total),

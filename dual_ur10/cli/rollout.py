@@ -28,12 +28,11 @@ from dual_ur10.cli.options import (
     check_extras,
     console,
     errors,
-    keywords_of,
     progress_of,
     randomize,
     record_in,
 )
-from dual_ur10.cli.session import asks, check_min_success, close, conclude, late_text, make, on_virtual, power_on
+from dual_ur10.cli.session import asks, check_min_success, close, conclude, keywords_on, late_text, make, power_on
 from dual_ur10.ids import env_id_of
 from dual_ur10.policies.registry import provenance
 from ur_core.processes.interrupts import INTERRUPTED
@@ -64,7 +63,7 @@ def rollout(
 
     check_min_success(min_success)
     check_extras(cell=cell, devices=[operator, takeover])
-    keywords = keywords_of(settings, perturbed, on_virtual(cell, env_id_of(env)), arm)
+    keywords = keywords_on(cell, env_id_of(env), settings, perturbed, arm)
     randomize(keywords, randomization)
     if power:
         power_on(cell)

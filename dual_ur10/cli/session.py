@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import signal
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +14,7 @@ import typer
 from rich.markup import escape
 
 from dual_ur10 import policies
-from dual_ur10.cli.options import VIRTUAL, at_end, console, errors, is_file
+from dual_ur10.cli.options import VIRTUAL, at_end, console, errors, is_file, keywords_of
 from dual_ur10.errors import SettingsError, UnknownNameError, nearest_name
 from dual_ur10.ids import env_id_of
 from dual_ur10.policies.policy import close_policy
@@ -25,12 +26,13 @@ if TYPE_CHECKING:
     from dual_ur10.policies.operators.operator import Operator
 
 
-def on_virtual(cell: Path | None, task: str | None) -> Any:
+def on_virtual(cell: Path | None, task: str | None, keywords: Mapping[str, Any] | None = None) -> Any:
     """Return the virtual cell that `--cell virtual` stands for, which ends with the command; another value unchanged.
 
     Args:
         cell: Value of the option.
         task: Id of the environment; None: none.
+        keywords: Keywords of the environment. Those of its task decide the scene of the virtual cell.
 
     Raises:
         MissingExtraError: The extra `virtual` is not installed.
@@ -44,9 +46,29 @@ def on_virtual(cell: Path | None, task: str | None) -> Any:
         return name
     from dual_ur10.testing import VirtualCell
 
-    made = VirtualCell(task=task)
+    options: dict[str, Any] = {"task": task}
+    if task is not None and keywords:
+        from dual_ur10.envs.core.setup import load_task
+
+        names = [each.name for each in dataclasses.fields(load_task(task).settings_type)]
+        options["settings"] = {name: keywords[name] for name in names if name in keywords}
+    made = VirtualCell(**options)
     at_end.callback(made.close)
     return made
+
+
+def keywords_on(
+    cell: Path | None, env_id: str, settings: list[str] | None, perturbed: bool, arm: str | None
+) -> dict[str, Any]:
+    """Return keywords of the environment as `keywords_of`, with the cell that the value of --cell stands for.
+
+    Raises:
+        SettingsError: Or one of its kinds: as raised by `keywords_of` and `on_virtual`.
+    """
+    keywords = keywords_of(settings, perturbed, cell, arm)
+    if cell is not None:
+        keywords["cell"] = on_virtual(cell, env_id, keywords)
+    return keywords
 
 
 def asks(cell: object) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import json
 import tomllib
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -16,7 +17,7 @@ from dual_ur10.emulated.grippers import entry_of, gripper_of
 from dual_ur10.errors import SettingsError
 from dual_ur10.ids import env_id_of
 from dual_ur10.sim2real.cell.cell_config import CellConfig
-from dual_ur10.sim2real.cell_file.tables import Gripper, NoGripper
+from dual_ur10.sim2real.cell_file.tables import Gripper, NoGripper, read_keywords
 from dual_ur10.sim2real.cell_file.text import toml_text
 from dual_ur10.sim2real.runtime.latch import clear_ended
 from ur_core.files import check_target, write_text
@@ -37,6 +38,7 @@ class CellOptions(EmulatorOptions):
         family: Family of both controllers; None: that of `robot`.
         robot: Model of both arms, or of the left and the right one; None: a UR10, or a UR10e of the e-Series.
         task: Id or name of the environment whose scene is simulated; None: two arms on a table, of any model.
+        settings: Keywords of that task, of values that JSON holds; None: none.
         tools: Tool of both arms, or of the left and the right one, by name or as "module:NAME", driven by the first
             of its `drivers`; None: those of the task.
         cell: Path of the cell file to write, or None.
@@ -47,6 +49,7 @@ class CellOptions(EmulatorOptions):
     family: str | None = None
     robot: str | Sequence[str] | None = None
     task: str | None = None
+    settings: Mapping[str, Any] | None = None
     tools: str | Sequence[str] | None = None
     cell: str | None = None
 
@@ -75,7 +78,15 @@ class CellEmulator(Emulator):
         grippers: Sequence[Gripper] | None = None,
         system: System = LOCAL,
     ) -> None:
-        world = CellWorld(cell_of(options) if config is None else config, options.task, options)
+        try:
+            self._settings = json.dumps(dict(options.settings or {}), allow_nan=False)
+        except (TypeError, ValueError) as error:
+            raise SettingsError(
+                f"settings are {options.settings!r:.200}: they must be keywords by name, of values that JSON holds "
+                f"({error}). Name an object of your own as module:NAME"
+            ) from error
+        nominal = cell_of(options) if config is None else config
+        world = CellWorld(nominal, options.task, options, read_keywords(self._settings))
         self._grippers = _grippers_of(options, world, grippers)
         super().__init__(
             options,
@@ -98,7 +109,8 @@ class CellEmulator(Emulator):
             if server.gripper is not None:
                 found[name]["gripper"] = entry.mapping()
         task = {} if self.options.task is None else {"task": env_id_of(self.options.task)}
-        found["emulator"] = {**task, **found["emulator"]}
+        settings = {"settings": self._settings} if self.options.settings else {}
+        found["emulator"] = {**task, **settings, **found["emulator"]}
         return found
 
     def prepare(self) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from dual_ur10.assets.settings import home_q_rad
 from dual_ur10.envs.core.randomization import PRESETS, apply_sample
-from dual_ur10.envs.core.setup import EnvSetup
+from dual_ur10.envs.core.setup import EnvSetup, task_settings
 from dual_ur10.envs.sim.physics import Physics
 from dual_ur10.envs.sim.servo_reference import ReferenceMotion
 from dual_ur10.envs.tasks.task import SceneRequirements
@@ -38,6 +38,7 @@ class CellWorld:
         config: Nominal cell.
         task: Id of the environment, or a shorter name, which defines the scene and the start of its episode; None:
             nothing but the arms, which start at home.
+        settings: Keywords of the task; None: none.
         options: Deviation of the plant from the nominal model.
 
     Attributes:
@@ -46,8 +47,10 @@ class CellWorld:
 
     names: tuple[str, ...] = ARMS
 
-    def __init__(self, config: CellConfig, task: str | None, options: PlantOptions) -> None:
-        config, start = scene_of(config, task, options.seed)
+    def __init__(
+        self, config: CellConfig, task: str | None, options: PlantOptions, settings: Mapping[str, Any] | None = None
+    ) -> None:
+        config, start = scene_of(config, task, settings, options.seed)
         self.config = config
         self.mounts: tuple[ArmMount, ...] = (config.left, config.right)
         self.tick_s, self.substeps = config.servoj.tick_s, config.substeps
@@ -177,18 +180,29 @@ class CellWorld:
         return self._physics.model_and_data(0)
 
 
-def scene_of(config: CellConfig, task: str | None, seed: int = 0) -> tuple[CellConfig, Start]:
+def scene_of(
+    config: CellConfig, task: str | None, settings: Mapping[str, Any] | None = None, seed: int = 0
+) -> tuple[CellConfig, Start]:
     """Return the cell with the scene that is simulated, and the start of the arms and props.
 
     Args:
         config: Nominal cell.
         task: Id or name of the environment whose scene it is; None: nothing but the arms, at home.
+        settings: Keywords of the task; None: none.
         seed: Seed of the start.
 
     Raises:
         UnknownNameError: There is no such environment.
+        SettingsError: Or one of its kinds: the task has no such keyword, or there is no task.
     """
-    return _arms_at_home(config) if task is None else _episode(config, task, seed)
+    if task is not None:
+        return _episode(config, task, settings or {}, seed)
+    if settings:
+        raise SettingsError(
+            f"settings name {', '.join(map(str, settings))}, and no task whose keywords these are: name it with "
+            "--task, in Python with task=..., or leave them out"
+        )
+    return _arms_at_home(config)
 
 
 def _arms_at_home(config: CellConfig) -> tuple[CellConfig, Start]:
@@ -198,7 +212,8 @@ def _arms_at_home(config: CellConfig) -> tuple[CellConfig, Start]:
     return config, Start(home_q_rad((config.left, config.right))[None])
 
 
-def _episode(config: CellConfig, task: str, seed: int) -> tuple[CellConfig, Start]:
+def _episode(config: CellConfig, task: str, settings: Mapping[str, Any], seed: int) -> tuple[CellConfig, Start]:
     """Return the cell with the scene of a task, and the start of an episode."""
-    setup = EnvSetup.resolve(task, {"cell": config, "action_latency_ticks": 0})
+    task_settings(task, settings)  # no other keyword changes what is simulated
+    setup = EnvSetup.resolve(task, {**settings, "cell": config, "action_latency_ticks": 0})
     return setup.config, setup.make_task().start(np.arange(1), [np.random.default_rng(seed)])

@@ -51,7 +51,7 @@ class EmulatedCamera(CameraSource):
         entry, emulator = request.entry, request.file.emulator
         if not isinstance(entry, EmulatedCameraEntry) or emulator is None:
             raise SettingsError(f"{request.where}: the camera of an emulated cell needs the table [emulator]")
-        config, _ = scene_of(request.file.config(), emulator.task)
+        config, _ = scene_of(request.file.config(), *(request.file.emulated_scene or (None,)))
         equipment = config.equipment
         config = dataclasses.replace(
             config, equipment=dataclasses.replace(equipment, cameras=(*equipment.cameras, *request.views))

@@ -56,7 +56,12 @@ def test_commands_that_only_move_run_on_a_virtual_cell_of_their_task(monkeypatch
     (recorded,) = Path("runs").iterdir()
     assert "a virtual cell with {'task': None}" in run("repeatability", "--cell", "virtual")[1]
     text = run("replay", str(recorded), "--cell", "virtual", "--no-record")[1]
-    assert "a virtual cell with {'task': 'DualUR10/SineTracking-v0'}" in text
+    assert "a virtual cell with {'task': 'DualUR10/SineTracking-v0', 'settings': {'duration_s': 0.4}}" in text
+    for command in ("rollout", "evaluate"):
+        text = run(
+            command, "PegInsertion", "--cell", "virtual", "--set", "clearance_m=0.0005", "--set", "at_limits=lead"
+        )[1]
+        assert "with {'task': 'DualUR10/PegInsertion-v0', 'settings': {'clearance_m': 0.0005}}" in text
 
 
 def test_list_names_every_environment_with_its_sizes_and_its_task() -> None:
@@ -597,6 +602,7 @@ def test_an_error_of_several_extras_keeps_a_note_on_python_last(monkeypatch: pyt
         (("emulate", "--family", "eseries"), "e-series"),
         (("emulate", "--task", "handovr"), "DualUR10/Handover-v0"),
         (("emulate", "--tool", "generic_14"), "generic_140"),
+        (("emulate", "--task", "PegInsertion", "--set", "clearence_m=0.0005"), "clearance_m"),
         (("cell", "new", "lab.toml", "--kind", "rael"), "real"),
         (("teach", "x.csv", "--cell", "lab.toml", "--arm", "rigt"), "right"),
     ],

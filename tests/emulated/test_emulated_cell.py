@@ -18,8 +18,9 @@ from typer.testing import CliRunner
 from dual_ur10.cli import main as cli
 from dual_ur10.emulated.cell_emulator import CellEmulator, CellOptions, write_cell_file
 from dual_ur10.emulated.emulated_cell import EmulatedCell
+from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.errors import DualUR10Error
-from dual_ur10.sim2real.cell_file.cell_file import load_cell_file
+from dual_ur10.sim2real.cell_file.cell_file import CellFile, load_cell_file
 from tests.emulated.ticking import Cell
 from tests.ur_emulator.served import served
 from ur_core.errors import AddressError, ClosedError, EmulatorError, SettingsError, UnknownNameError
@@ -222,6 +223,34 @@ def test_the_cell_file_describes_the_cell(tmp_path):
     assert tomllib.loads(path.read_text())["left"]["family"] == "cb3"
 
 
+def test_keywords_of_the_task_decide_the_scene(tmp_path, monkeypatch):
+    monkeypatch.setattr("dual_ur10.cli.emulate.serve", lambda emulators, **_: made.extend(emulators))
+    path, made = tmp_path / "cell.toml", []
+    code, text = run("emulate", "--task", "Handover", "--set", "grip_force_n=80", "--cell", str(path))
+    assert code == 0, text
+    (emulator,) = made
+    try:
+        assert emulator.world.config.equipment.grip_force_n == 80
+        file = load_cell_file(path)
+        assert file.emulated_scene == ("DualUR10/Handover-v0", {"grip_force_n": 80})
+        assert CellFile.read(tomllib.loads(file.text())) == file
+        EnvSetup.resolve("Handover", {"cell": str(path), "grip_force_n": 80, "duration_s": 10.0})
+        for other in ({}, {"grip_force_n": 81}):
+            with pytest.raises(
+                SettingsError, match=r"another scene .* grip_force_n=80: .* --set \"grip_force_n=(60|81)"
+            ):
+                EnvSetup.resolve("Handover", {"cell": str(path), **other})
+        EnvSetup.resolve("SineTracking", {"cell": str(path)})  # of another task nothing is compared
+    finally:
+        emulator.close()
+
+
+@pytest.mark.parametrize("settings", [3, {"objects": object()}, {"grip_force_n": float("nan")}])
+def test_keywords_that_json_does_not_hold_are_refused(settings):
+    with pytest.raises(SettingsError, match="values that JSON holds"):
+        Cell(task="Free", settings=settings)
+
+
 @pytest.mark.parametrize("text", ["", "kind = 'real'\n", "[left]\nhost = '10.0.0.1'\n", "no toml [", b"\xff\xfe"])
 def test_other_files_are_left_alone(tmp_path, text):
     path = tmp_path / "cell.toml"
@@ -252,7 +281,7 @@ def run(*arguments):
 def test_help():
     code, text = run("emulate", "--help")
     assert code == 0
-    for word in ("left", "right", "family", "task", "tool", "cell", "plant", "dh-error-mm", "seed", "view"):
+    for word in ("left", "right", "family", "task", "set", "tool", "cell", "plant", "dh-error-mm", "seed", "view"):
         assert f"--{word}" in text
 
 
@@ -282,6 +311,8 @@ def test_ctrl_c_ends_it_well(tmp_path):
         (("--plant", "wild"), "nominal"),
         (("--dh-error-mm", "50"), "dh_error_m"),
         (("--seed", "-1"), "seed is -1"),
+        (("--set", "grip_force_n=80"), "no task"),
+        (("--task", "Handover", "--set", "action_mode=tcp_delta"), "grip_force_n"),
     ],
 )
 def test_errors_are_one_line_with_exit_code_2(arguments, word):

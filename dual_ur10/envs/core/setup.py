@@ -54,6 +54,22 @@ def load_task(name: str) -> type[Task[Any, Any]]:
     return task
 
 
+def task_settings(env_id: str, keywords: Mapping[str, Any]) -> Any:
+    """Return the settings of a task with these keywords.
+
+    Raises:
+        UnknownNameError: There is no such environment.
+        UnknownKeywordError: The task has no such keyword.
+        SettingsError: Or one of its kinds: a value is not legal.
+    """
+    kind = load_task(env_id).settings_type
+    known = [each.name for each in dataclasses.fields(kind)]
+    unknown = next((name for name in keywords if name not in known), None)
+    if unknown is not None:
+        raise UnknownKeywordError.of(f"the task of {env_id_of(env_id)}", str(unknown), known)
+    return kind(**keywords)
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class EnvSetup:
     """Specification of an environment: a pure function of its task and keywords.
@@ -136,6 +152,7 @@ class EnvSetup:
             timing=Timing(period_s, period_s + latency_ticks * tick_s),
         )
         setup._check_stages()
+        setup._check_emulated_scene()
         if options.reward_weights:
             _ = setup.weights  # an unknown term is refused before anything is made
         return setup
@@ -159,6 +176,24 @@ class EnvSetup:
             raise SettingsError(
                 "starts are states of a simulation, in which an object is held already: leave them out with this cell"
             )
+
+    def _check_emulated_scene(self) -> None:
+        """Check that emulated controllers of this task simulate the scene that it has with these settings."""
+        emulated = None if self.config.file is None else self.config.file.emulated_scene
+        if emulated is None or emulated[0] != self.env_id:
+            return
+        theirs = task_settings(*emulated)
+        if theirs == self.settings or self.task_type.requirements(theirs) == self.requirements:
+            return
+        names = [each.name for each in dataclasses.fields(theirs)]
+        names = [name for name in names if getattr(theirs, name) != getattr(self.settings, name)]
+        here, there = ([f"{name}={getattr(of, name)!r:.80}" for name in names] for of in (self.settings, theirs))
+        options = " ".join(f'--set "{each}"' for each in here)
+        raise SettingsError(
+            f"{self.env_id} with {', '.join(here)} has another scene than the emulated cell, which has "
+            f"{', '.join(there)}: make the environment with these, or start the cell with `emulate --task "
+            f"{self.env_id} {options}`, in Python with settings={{...}}"
+        )
 
     @property
     def keeps_time(self) -> bool:

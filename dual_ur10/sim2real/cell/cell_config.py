@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, runtime_checkable
 
@@ -58,6 +59,10 @@ class CellSource(Protocol):
     @property
     def source(self) -> str:
         """Path of the file, for messages."""
+
+    @property
+    def emulated_scene(self) -> tuple[str, Mapping[str, Any]] | None:
+        """Id of the environment whose scene emulated controllers simulate, and keywords of its task; None: of none."""
 
     def config(self) -> CellConfig:
         """Return the configuration that the file describes."""

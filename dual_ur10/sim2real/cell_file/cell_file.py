@@ -42,6 +42,7 @@ from dual_ur10.sim2real.cell_file.tables import (
     Task,
     Tracker,
     key,
+    read_keywords,
 )
 from dual_ur10.sim2real.cell_file.text import KeyList, missing, toml_text
 from ur_core.files import read_named
@@ -162,6 +163,13 @@ class CellFile(Table):
     def arms(self) -> tuple[ArmEntry, ArmEntry]:
         """Both arms in the order of `ARMS`."""
         return self.left, self.right
+
+    @property
+    def emulated_scene(self) -> tuple[str, dict[str, Any]] | None:
+        """Id of the environment whose scene emulated controllers simulate, and keywords of its task; None: of none."""
+        if self.emulator is None or self.emulator.task is None:
+            return None
+        return self.emulator.task, read_keywords(self.emulator.settings or "{}")
 
     @property
     def obstacles(self) -> tuple[Obstacle, ...]:

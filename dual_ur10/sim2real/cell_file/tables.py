@@ -110,6 +110,36 @@ def _checked_model(text: str) -> str:
     return text
 
 
+def _no_constant(name: str) -> None:
+    raise ValueError(name)  # NaN and Infinity are not JSON
+
+
+def read_keywords(text: str) -> dict[str, Any]:
+    """Return the keywords of a task that a text has, a JSON object; lists become tuples.
+
+    Raises:
+        ValueError: It is another text.
+    """
+    try:
+        found = _tuples(json.loads(text, parse_constant=_no_constant))
+    except RecursionError as error:
+        raise ValueError(text) from error
+    if not isinstance(found, dict):
+        raise ValueError(text)
+    return found
+
+
+def _tuples(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _tuples(each) for name, each in value.items()}
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value
+
+
+def _checked_keywords(text: str) -> str:
+    read_keywords(text)
+    return text
+
+
 def _text(allowed: str, **constraints: Any) -> Any:
     return Field(json_schema_extra={"allowed": allowed}, **constraints)
 
@@ -129,6 +159,7 @@ Day = Annotated[str, _text("a day such as 2026-01-31, in quotes", pattern=r"^\d{
 FileName = Annotated[str, _text("a file name of up to 200 characters, in quotes", pattern=r"^[^\x00-\x1f\x7f]{1,200}$")]
 Model = Annotated[str, AfterValidator(_checked_model), _text("one of " + ", ".join(f'"{each}"' for each in ROBOTS))]
 Task = Annotated[str, AfterValidator(_checked_id), _text("the id of an environment")]
+Keywords = Annotated[str, AfterValidator(_checked_keywords), _text("a JSON object, in quotes", max_length=4000)]
 ClassName = Annotated[str, _text("module:Class, in quotes", pattern=f"^{_MEMBER}$")]
 _OPTION: Final = "[a-z_]{1,30}=[!-~]{0,99}"
 Options = Annotated[
@@ -410,6 +441,7 @@ class EmulatorEntry(Table):
 
     port: int = key("port of its fault injection, at the left host", low=1, high=65535, example=40000)
     task: Task | None = key("environment whose scene it simulates", None, example=ENV_IDS[0])
+    settings: Keywords | None = key("keywords of its task, of `emulate --set`", None, example='{"duration_s": 20.0}')
     pid: int | None = key("its process id", None, low=1, high=2**31 - 1, example=1234)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import json
 import math
 import os
 import re
@@ -282,6 +283,8 @@ def one(key: Key) -> st.SearchStrategy[Any]:
         return st.sampled_from(choices)
     if key.name == "task":
         return st.sampled_from(ENV_IDS)
+    if key.name == "settings":
+        return st.dictionaries(st.text(max_size=5), st.lists(st.floats(-1, 1), max_size=3)).map(json.dumps)
     if schema["type"] == "string":
         return st.from_regex(schema["pattern"].removesuffix("$") + r"\Z")
     if schema["type"] == "boolean":
@@ -532,6 +535,10 @@ REFUSED: list[tuple[dict[str, Any], tuple[str, ...]]] = [
     (
         {"left__calibration": {"a_m": [0, -0.425, -0.39225, 0, 0, 0]}},
         ("left.calibration: DH parameter a_m[1] is -0.425", "another robot"),
+    ),
+    *(
+        ({"kind": "emulated", "emulator": {"port": 4000, "settings": text}}, ("emulator.settings is", "a JSON object"))
+        for text in ("", "[1]", "{'a': 1}", '{"a": NaN}', "[" * 3000, '{"a": "' + "b" * 4000 + '"}')
     ),
     ({"emulator": {"port": 4000}}, ("emulator is in the file of a real cell", 'kind = "emulated"')),
     ({"tracker": [{"prop": "x", "kind": "emulated"}]}, ('tracker[0].kind is "emulated"', "[emulator]")),
@@ -907,6 +914,7 @@ def test_units_are_in_the_names() -> None:
         "tracker",
         "driver",
         "options",
+        "settings",
         "normal",
         "up",
         "body",

@@ -253,16 +253,8 @@ class TaskSettings:
     checks: int = _CHECKS
 
 
-_MOTION_FIELDS: Final = (
-    "q_rad",
-    "qd_rad_s",
-    "flange_base_m",
-    "flange_base_quat",
-    "force_n",
-    "torque_nm",
-    "other_flange_m",
-    "other_flange_quat",
-)
+_ARM_MOTION: Final = ("q_rad", "qd_rad_s", "flange_base_m", "flange_base_quat", "force_n", "torque_nm")
+_MOTION_FIELDS: Final = (*_ARM_MOTION, "other_flange_m", "other_flange_quat")
 _SINE_UNSEEN: Final = (
     "q_rad",
     "qd_rad_s",
@@ -401,16 +393,7 @@ def _led(props: tuple[str, ...], *further: str) -> TaskSettings:
     With steps of the tools the scripted policy follows them. Labels of a script that runs by time, as with steps of the
     joints, contradict each other along its path, and nothing was learned from them.
     """
-    arm = (
-        "q_rad",
-        "qd_rad_s",
-        "flange_base_m",
-        "flange_base_quat",
-        "commanded_q_rad",
-        "gripper_m",
-        "force_n",
-        "torque_nm",
-    )
+    arm = (*_ARM_MOTION, "commanded_q_rad", "gripper_m")
     poses = [f"{name}_base_{unit}" for name in props for unit in ("m", "quat")]
     return TaskSettings(
         envs=96,

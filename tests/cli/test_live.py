@@ -599,7 +599,7 @@ def commanding(monkeypatch, cell):
         patch.setattr(LivePage, "wait_until_ready", lambda self: "http://the.page/")
         patch.setattr(LivePage, "wait_until_open", lambda self: turned.append("waited"))
         patch.setattr(LiveSession, "run", lead)
-        patch.setattr("dual_ur10.cli.live.keywords_of", lambda *_: {"cell": cell})
+        patch.setattr("dual_ur10.cli.live.keywords_on", lambda *_: {"cell": cell})
         yield pages, turned
 
 

@@ -47,8 +47,6 @@ class Rung:
         starts: Ratios of the training's episodes that begin after stages.
         steps: Steps of a training by learner; others have those of `train`.
         short: Steps after which an episode of stock learners is truncated.
-        log_std: Initial deviation of PPO, as its logarithm.
-        gamma: Discount of PPO and SAC.
     """
 
     task: str
@@ -56,8 +54,6 @@ class Rung:
     starts: dict[str, float] | None = None
     steps: dict[str, int]
     short: int = 500
-    log_std: float = -1.3
-    gamma: float = 0.95
 
     def but(self, **changes: Any) -> Rung:
         """Return the rung with other keywords of the environment."""
@@ -84,10 +80,9 @@ _HELD: Final = dataclasses.replace(
 )
 _CARRY: Final = Rung(
     task="SyncCarry",
-    keywords={**_GOALS, "action_scale": {"translation": 0.5, "rotation": 0.5}, "path_speed": True},
-    steps={"ppo": 800_000, "sac": 500_000},
-    short=900,
-    log_std=-0.9,
+    keywords=example.CARRY,
+    steps={"ppo": example.OBJECTS_STEPS["SyncCarry"], "sac": 500_000},
+    short=example.OBJECTS_SHORT["SyncCarry"],
 )
 
 
@@ -179,10 +174,9 @@ def _stock(
 ) -> tuple[int, float, float, list[dict[str, float]]]:
     """Train Stable-Baselines3; return steps, minutes, the ratio of successes, and the curve."""
     algorithm, curve = learner.upper(), list[dict[str, float]]()
-    settings: dict[str, Any] | None = None
-    if rung.task != example.SINE:
-        ppo = {**example.OBJECTS_SETTINGS, "policy_kwargs": {"log_std_init": rung.log_std}}
-        settings = {**(ppo if algorithm == "PPO" else example.SETTINGS[algorithm]), "gamma": rung.gamma}
+    settings = example.settings_of(rung.task, algorithm)
+    if rung.task != example.SINE and algorithm != "PPO":
+        settings = {**settings, "gamma": example.settings_of(rung.task)["gamma"]}
     model, steps, minutes = example.train(
         algorithm,
         seed,

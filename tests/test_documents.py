@@ -377,9 +377,7 @@ def test_the_starts_for_learners_are_what_the_example_runs():
     assert _texts(targets["CELLS"])["PPO"] == "64"
     assert named["steps"] == _texts(targets["STEPS"])["PPO"]
     named, keywords = _start(lift)
-    exploration = {"policy_kwargs": "{'log_std_init': -1.3}"}
-    assert named["entries"] == _texts(targets["OBJECTS_SETTINGS"]) | exploration
-    assert "OBJECTS_LOG_STD.get(task, -1.3)" in ast.unparse(example)
+    assert named["entries"] == _texts(targets["OBJECTS_SETTINGS"])
     assert (named["env"], named["task"], named["cells"]) == ("TwoAgentVecEnv", "'Handover'", "64")
     assert keywords == _texts(targets["LIFT"]) | {"max_episode_steps": numbers["LIFT_SHORT"], "reward": "'individual'"}
     assert named["steps"] == f"2 * {numbers['LIFT_STEPS']}"

@@ -152,7 +152,15 @@ def baselines(axis: Any, rows: Rows) -> None:
             shown.add(learner)
     axis.set_xlim(-3, 103)
     axis.set_xlabel("success, %, on mild plants")
-    axis.legend(frameon=False, fontsize=9.5, ncols=5, loc="lower left", bbox_to_anchor=(0.0, 1.0))
+    axis.legend(
+        frameon=False,
+        fontsize=9.5,
+        ncols=5,
+        loc="lower left",
+        bbox_to_anchor=(-0.1, 1.0),
+        columnspacing=0.9,
+        handletextpad=0.4,
+    )
 
 
 def ladder(axis: Any, rows: Rows) -> None:

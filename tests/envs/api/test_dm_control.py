@@ -7,7 +7,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-import dual_ur10
 from dual_ur10.envs import dm_env
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.policies import load
@@ -47,8 +46,8 @@ class NoWindow:
         """End nothing."""
 
 
-@pytest.mark.parametrize("env_id", dual_ur10.ENV_IDS)
-def test_the_viewer_runs_every_task(env_id, monkeypatch):
+@pytest.mark.parametrize("env_id", [SINE, "DualUR10/Free-v0", "DualUR10/SyncCarry-v0"])
+def test_the_viewer_runs_a_task(env_id, monkeypatch):
     monkeypatch.setattr(application.gui, "RenderWindow", NoWindow)
     monkeypatch.setattr(application, "_MAX_FRONTBUFFER_SIZE", 128)  # of pixels, which take seconds without a GPU
     app = application.Application(width=80, height=60)

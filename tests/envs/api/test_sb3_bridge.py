@@ -1,3 +1,4 @@
+import itertools
 import re
 
 import numpy as np
@@ -12,6 +13,7 @@ from ur_core.kinematics.ur10 import ARMS
 
 IDS = dual_ur10.ENV_IDS
 SINE = "DualUR10/SineTracking-v0"
+WAYS = [("joint_delta", 0, "shared"), ("joint_delta", 3, "individual"), ("tcp_delta", 0, "individual")]
 
 
 stable_baselines3 = pytest.importorskip("stable_baselines3", reason="needs the extra train")
@@ -32,10 +34,9 @@ def measured(info):
 
 
 @pytest.mark.parametrize(
-    ("mode", "latency", "reward"),
-    [("joint_delta", 0, "shared"), ("joint_delta", 3, "individual"), ("tcp_delta", 0, "individual")],
+    ("env_id", "mode", "latency", "reward"),
+    [(each, *way) for each, way in zip(IDS, itertools.cycle(WAYS), strict=False)],
 )
-@pytest.mark.parametrize("env_id", IDS)
 def test_rows_are_the_agents_bit_for_bit_over_episodes(env_id, mode, latency, reward):
     keywords = {"action_mode": mode, "action_latency_ticks": latency, "reward": reward}
     cells, seed, limit = 3, 40, 9

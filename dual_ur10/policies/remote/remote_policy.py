@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import contextlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Final, get_args
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, get_args
 from urllib.parse import parse_qs, urlsplit, urlunsplit
 
 import numpy as np
+import pydantic
 import websockets.sync.client
 
 from dual_ur10.errors import PolicyServerError, SettingsError
@@ -16,6 +17,7 @@ from dual_ur10.policies.chunks.executor import executor_for
 from dual_ur10.policies.remote.key_mapping import Mapped, WireMapping
 from dual_ur10.policies.remote.wire import MOST_BYTES, packed, unpacked
 from dual_ur10.sim2real.control.adapter import ActionMode
+from ur_core.findings import listed, path_of
 from ur_core.tools.tool import strokes_m
 from ur_core.types import Array
 
@@ -26,6 +28,41 @@ if TYPE_CHECKING:
 PREFIX: Final = "remote:"
 _CONNECT_S: Final = 5.0
 _OPTIONS: Final = ("mapping", "token")
+_RECEIVED: Final = pydantic.ConfigDict(strict=True, extra="ignore", frozen=True, allow_inf_nan=False)
+
+_Text = Annotated[str, pydantic.Field(max_length=200)]
+
+
+class _Keywords(pydantic.BaseModel):
+    """Keywords of the environment that a policy is for, as far as they are compared."""
+
+    model_config = _RECEIVED
+    action_mode: _Text | None = None
+    action_scale: float | dict[_Text, float] | None = None
+    observation: _Text | None = None
+
+
+class ServerMetadata(pydantic.BaseModel):
+    """Metadata of a server, as far as they are used.
+
+    Attributes:
+        env_id: Environment that the policy is for.
+        keywords: Keywords of that environment.
+        endpoints: Endpoints of the server, such as "reset".
+        time_key: "time_s": requests state the time of their observation.
+        dt_s: Time between two actions of a chunk.
+        action_space: Meaning of the actions.
+        action_horizon: Number of actions in a chunk.
+    """
+
+    model_config = _RECEIVED
+    env_id: _Text | None = None
+    keywords: _Keywords = _Keywords()
+    endpoints: list[_Text] = []
+    time_key: _Text | None = None
+    dt_s: float | None = pydantic.Field(default=None, ge=1e-3, le=10.0)
+    action_space: _Text | None = None
+    action_horizon: int | None = None
 
 
 class RemotePolicy:
@@ -40,12 +77,13 @@ class RemotePolicy:
         token: Text that the server wants, sent as "Authorization: Api-Key ..."; None: none.
 
     Attributes:
-        metadata: What the server has stated of itself.
+        metadata: Metadata that the server has stated.
         dt_s: Time between two actions of a chunk.
         action_mode: Meaning of the actions, see `ChunkPolicy`.
 
     Raises:
-        PolicyServerError: There is no such server, or it states neither of both, as the mapping does.
+        PolicyServerError: There is no such server, its metadata are not legal, or neither they nor the mapping state
+            `dt_s` and the mode.
     """
 
     portable: ClassVar[bool] = True
@@ -56,16 +94,16 @@ class RemotePolicy:
         self._socket: Any = None
         self.metadata = self._connected()
         mapping = mapped.mapping
-        dt_s = mapping.dt_s if mapping.dt_s is not None else self.metadata.get("dt_s")
-        mode = mapping.action_mode or self.metadata.get("action_space")
-        modes = get_args(ActionMode) if self.metadata.get("action_horizon") == 1 else CHUNK_MODES
-        if not isinstance(dt_s, int | float) or mode not in modes:
+        dt_s = mapping.dt_s if mapping.dt_s is not None else self.metadata.dt_s
+        mode = mapping.action_mode or self.metadata.action_space
+        modes = get_args(ActionMode) if self.metadata.action_horizon == 1 else CHUNK_MODES
+        if dt_s is None or mode not in modes:
             self.close()
             raise PolicyServerError(
                 f"{address} states dt_s {dt_s!r:.40} and action_space {mode!r:.40}: write dt_s and action_mode, "
                 f"{' or '.join(map(repr, CHUNK_MODES))}, into a mapping file, and add ?mapping=FILE to the address"
             )
-        self.dt_s, self.action_mode = float(dt_s), str(mode)
+        self.dt_s, self.action_mode = dt_s, str(mode)
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.address!r})"
@@ -73,8 +111,8 @@ class RemotePolicy:
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_socket": None}  # another process connects anew
 
-    def _connected(self) -> dict[str, Any]:
-        """Connect, and return what the server states of itself."""
+    def _connected(self) -> ServerMetadata:
+        """Connect, and return the metadata of the server."""
         headers = {} if self._token is None else {"Authorization": f"Api-Key {self._token}"}
         try:
             self._socket = websockets.sync.client.connect(
@@ -93,7 +131,12 @@ class RemotePolicy:
         if not isinstance(found, dict):
             self.close()
             raise PolicyServerError(f"{self.address} began with {type(found).__name__} instead of its metadata")
-        return found
+        try:
+            return ServerMetadata.model_validate(found)
+        except pydantic.ValidationError as error:
+            self.close()
+            shown = listed(error.errors(), lambda each: f"{path_of(each['loc'])[1:]}: {each['msg']}", 5)
+            raise PolicyServerError(f"{self.address} states metadata that are not legal: {shown}") from None
 
     def close(self) -> None:
         """Close the connection. May be called twice."""
@@ -108,7 +151,7 @@ class RemotePolicy:
         """
         if self._socket is None or self._socket.state is not websockets.protocol.State.OPEN:
             self.metadata = self._connected()
-        if self._mapped.mapping.endpoint or "reset" in (self.metadata.get("endpoints") or ()):
+        if self._mapped.mapping.endpoint or "reset" in self.metadata.endpoints:
             self._sent({"endpoint": "reset"})
             self._received(self._mapped.mapping.timeout_s, text=True)
 
@@ -121,17 +164,21 @@ class RemotePolicy:
         request = self._mapped.request(observation)
         if self._socket is None:
             self.metadata = self._connected()
-        if self.metadata.get("time_key") == "time_s":
+        if self.metadata.time_key == "time_s":
             request["time_s"] = time_s
         self._sent(request)
         answer = self._received(self._mapped.mapping.timeout_s)
         key = self._mapped.mapping.action_key
-        if isinstance(answer, dict) and answer.get("type") == "error":
+        kind = answer.get("type") if isinstance(answer, dict) else None
+        if isinstance(kind, str) and kind == "error":
             raise PolicyServerError(f"{self.address} failed: {answer.get('message')!r:.500}")
         if not isinstance(answer, dict) or key not in answer:
             found = f"a dict of {', '.join(map(repr, answer))}" if isinstance(answer, dict) else type(answer).__name__
             raise PolicyServerError(f"{self.address} answered with {found:.200}: an answer has {key!r}")
-        actions = np.asarray(answer[key]) if isinstance(answer[key], np.ndarray | list) else np.zeros(0)
+        try:
+            actions = np.asarray(answer[key]) if isinstance(answer[key], np.ndarray | list) else np.zeros(0)
+        except ValueError as error:
+            raise PolicyServerError(f"{self.address} sent actions that are no array: {error}") from None
         if actions.ndim == 3 and len(actions) == 1:
             actions = actions[0]
         if actions.ndim != 2 or actions.dtype.kind not in "fiu":
@@ -227,7 +274,7 @@ def connect(name: str, setup: EnvSetup, **options: Any) -> Policy:
     source = RemotePolicy(address, mapped, token)
     try:
         _check_signature(source.metadata, setup, address)
-        if source.metadata.get("action_horizon") == 1:
+        if source.metadata.action_horizon == 1:
             if abs(source.dt_s - setup.timing.period_s) > 1e-6 or source.action_mode != setup.options.action_mode:
                 raise SettingsError(
                     f"{address} returns one action at a time, as {source.action_mode!r} every {source.dt_s:g} s: make "
@@ -241,15 +288,13 @@ def connect(name: str, setup: EnvSetup, **options: Any) -> Policy:
         raise
 
 
-def _check_signature(metadata: dict[str, Any], setup: EnvSetup, address: str) -> None:
+def _check_signature(metadata: ServerMetadata, setup: EnvSetup, address: str) -> None:
     """Compare what a server of this package states of its policy with an environment."""
-    stated = metadata.get("env_id")
-    if stated is not None and stated != setup.env_id:
-        raise PolicyServerError(f"the policy of {address} is for {stated!r:.80}, not for {setup.env_id}")
-    keywords = metadata.get("keywords")
-    for name, value in (keywords if isinstance(keywords, dict) else {}).items():
-        found = getattr(setup.options, str(name), None)
-        if name in ("action_mode", "action_scale", "observation") and found not in (None, value):
+    if metadata.env_id not in (None, setup.env_id):
+        raise PolicyServerError(f"the policy of {address} is for {metadata.env_id!r:.80}, not for {setup.env_id}")
+    for name, value in metadata.keywords.model_dump(exclude_none=True).items():
+        found = getattr(setup.options, name)
+        if found != value:
             raise SettingsError(
                 f"the policy of {address} was made with {name}={value!r:.80}, and the environment has {found!r}: pass "
                 f"--set {name}={value}"

@@ -168,6 +168,8 @@ def run_against(answers, metadata=OURS, **options):
         (chunk_of(np.zeros(12)), PolicyServerError, r"shape \(12,\)"),
         (chunk_of(np.zeros((2, 9, 12))), PolicyServerError, r"shape \(2, 9, 12\)"),
         (msgspec.msgpack.encode({"actions": "go"}), PolicyServerError, "shape"),
+        (msgspec.msgpack.encode({"actions": [[0.0] * 12, [0.0] * 11]}), PolicyServerError, "that are no array"),
+        (msgspec.msgpack.encode({"type": as_openpi(np.zeros(2))}), PolicyServerError, "a dict of 'type'"),
         (..., PolicyServerError, "is gone"),
     ],
 )
@@ -221,6 +223,33 @@ def test_a_server_that_does_not_answer_is_given_up(tmp_path):
 )
 def test_servers_of_other_policies_are_refused(options, text):
     with stand_in([], **options) as (address, _), pytest.raises(DualUR10Error, match=text):
+        make(f"remote:{address}", SINE)
+
+
+ARRAY = np.zeros(2)
+
+
+@pytest.mark.parametrize(
+    ("entries", "text"),
+    [
+        ({"dt_s": 0}, r"dt_s: .* greater than or equal to 0\.001"),
+        ({"dt_s": np.inf}, "dt_s: .* finite"),
+        ({"dt_s": True}, "dt_s: .* number"),
+        ({"env_id": ARRAY}, "env_id: .* string"),
+        ({"action_space": ARRAY}, "action_space: .* string"),
+        ({"action_horizon": ARRAY}, "action_horizon: .* integer"),
+        ({"endpoints": 5}, "endpoints: .* list"),
+        ({"endpoints": ARRAY}, "endpoints: .* list"),
+        ({"endpoints": [ARRAY]}, r"endpoints\[0\]: .* string"),
+        ({"time_key": ARRAY}, "time_key: .* string"),
+        ({"time_key": "t" * 201}, "time_key: .* 200 characters"),
+        ({"keywords": 5}, "keywords: .* dictionary"),
+        ({"keywords": {"action_scale": ARRAY}}, "keywords.action_scale.* number"),
+    ],
+)
+def test_metadata_of_wrong_types_or_bounds_are_named(entries, text):
+    metadata = {**OURS, "action_horizon": 1, 5: ARRAY, "more": ARRAY, **entries}
+    with stand_in([], metadata) as (address, _), pytest.raises(PolicyServerError, match=f"not legal: {text}"):
         make(f"remote:{address}", SINE)
 
 

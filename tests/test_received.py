@@ -22,7 +22,7 @@ from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.errors import CheckpointError, DeviceAbsentError, DualUR10Error, RecordingError, SettingsError
 from dual_ur10.ids import env_id_of, received
 from dual_ur10.policies.evaluation.minari_export import _core
-from dual_ur10.policies.learned.checkpoint import _check
+from dual_ur10.policies.learned.checkpoint import _check, save
 from dual_ur10.policies.learned.manifest import parse
 from dual_ur10.policies.learned.signature import view_of, view_of_signature
 from dual_ur10.policies.operators.catalog import make_device
@@ -31,6 +31,7 @@ from dual_ur10.sim2real.analysis.reconstruction import keywords_of
 from dual_ur10.sim2real.cell_file.cell_file import load_cell_file
 from dual_ur10.sim2real.recording.header import from_metadata, plain, to_metadata
 from dual_ur10.sim2real.recording.run import Header
+from tests.cli.command import run
 from tests.fuzz.seeds import SEEDS
 from tests.policies.learned.checkpoints import HANDOVER, leaves, parts, sealed
 from tests.sim2real.recording.runs import header as _header
@@ -145,6 +146,26 @@ def test_checkpoints_and_datasets_import_no_module_that_they_name(asked: list[st
     assert accepted > 20
 
 
+def test_commands_import_no_module_that_what_they_read_names(
+    tmp_path: Path, asked: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:  # the program that made it knows the module
+        module = types.ModuleType("hostile_posts")
+        module.POST = Prop(name="post", mjcf=POST)  # type: ignore[attr-defined]
+        patch.setitem(sys.modules, module.__name__, module)
+        made = ["--episodes", "1", "--set", "max_episode_steps=3", "--set", 'objects=["hostile_posts:POST"]']
+        assert run("rollout", "Free", "--policy", "zero", *made, "--record", str(tmp_path))[0] == 0
+        networks, manifest = parts(FREE, objects=["hostile_posts:POST"])
+    (recorded,) = tmp_path.iterdir()
+    save(tmp_path / "checkpoint", networks, manifest)
+    for arguments in (("replay", str(recorded), "--cell", "virtual"), ("serve", str(tmp_path / "checkpoint"))):
+        code, text = run(*arguments)
+        assert code == 2
+        assert "hostile_posts" in text
+        assert "nothing is imported" in text
+    assert not asked
+
+
 def test_what_is_imported_or_registered_may_be_named(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     recorded = header(env_id=FREE, source="mujoco", cell_file=None, kwargs={"objects": ["my_posts:POST"]})
     with pytest.raises(RecordingError, match="named by the recording, and nothing is imported"):
@@ -158,6 +179,12 @@ def test_what_is_imported_or_registered_may_be_named(tmp_path: Any, monkeypatch:
         load_object("my_posts:OTHER", "it")
     with received("a file"), pytest.raises(SettingsError, match="to register 'A/B-v0', is named by a file"):
         env_id_of("no_such_module:A/B-v0")
+
+
+def test_a_recorded_number_that_no_float_holds_is_refused() -> None:
+    recorded = header(env_id=HANDOVER, source="mujoco", cell_file=None, kwargs={"object_range_m": 10**400})
+    with pytest.raises(RecordingError, match="too large"):
+        keywords_of(recorded)
 
 
 def test_nothing_is_called_that_received_data_name(tmp_path: Any) -> None:

@@ -65,6 +65,7 @@ def replay(
             raise SettingsError("--page moves nothing: leave out --cell, --arm and --power-on")
         _show(run, episode, seconds, allow_partial=allow_partial, browser=not no_browser, port=port)
         return
+    from dual_ur10.sim2real.analysis.reconstruction import task_keywords
     from dual_ur10.sim2real.analysis.replay import replay as play
     from dual_ur10.sim2real.analysis.replay import source_of
     from dual_ur10.sim2real.recording.reader import read_run
@@ -72,6 +73,7 @@ def replay(
     keywords = keywords_of(None, perturbed=False, cell=cell, arm=arm)
     keywords.pop("cell", None)
     recorded = read_run(run, allow_partial=allow_partial)
+    settings = task_keywords(recorded.header)
     if not no_record:
         record_in(keywords, record, source_of(run, episode))
     if power:
@@ -81,7 +83,7 @@ def replay(
             bar = progress.add_task("playing")
             found = play(
                 recorded,
-                on_virtual(cell, recorded.header.env_id, recorded.header.kwargs),
+                on_virtual(cell, recorded.header.env_id, settings),
                 episode=episode,
                 keywords=keywords,
                 on_step=lambda done, total: progress.update(bar, completed=done, total=total),

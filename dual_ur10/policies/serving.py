@@ -10,6 +10,7 @@ from dual_ur10.errors import SettingsError
 from dual_ur10.ids import __version__
 from dual_ur10.policies.chunks.executor import ChunkExecutor
 from dual_ur10.policies.learned.checkpoint import read_manifest
+from dual_ur10.policies.learned.signature import view_of_signature
 from dual_ur10.policies.registry import is_path, keywords_for, load, setup_of
 from dual_ur10.policies.remote.policy_server import PolicyServer
 
@@ -40,6 +41,7 @@ def server_of(
         if not is_path(policy):
             raise SettingsError(f"policy {policy!r:.80} needs an environment: name it with --env, such as SineTracking")
         signature = read_manifest(policy).signature
+        view_of_signature(signature)  # what it names is not imported; below, what `keywords` name is
         env_id, keywords = signature.env_id, {**signature.kwargs, **keywords}
     keywords = keywords_for(policy, env_id, dict(keywords))
     actor: Any = load(policy, env_id, **keywords)

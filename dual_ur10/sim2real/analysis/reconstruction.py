@@ -69,11 +69,7 @@ def keywords_of(header: Header, cell: str | Path | CellConfig | None = None) -> 
 
 
 def _keywords_of(header: Header, cell: str | Path | CellConfig | None, needed: int) -> dict[str, Any]:
-    if not is_registered(header.env_id):
-        raise RecordingError(
-            f"the recording is of {header.env_id!r}: this version has {', '.join(TASKS)}. Use the version that "
-            "recorded it, or install the package that brings the task"
-        )
+    _check_registered(header)
     left_out = _VISUAL if cell is None and header.source == "mujoco" else _SIMULATED
     keywords = _typed({name: each for name, each in header.kwargs.items() if name not in (*left_out, "task")}, header)
     keywords[_LATENCY] = header.latency_ticks
@@ -94,6 +90,26 @@ def _keywords_of(header: Header, cell: str | Path | CellConfig | None, needed: i
     return keywords
 
 
+def task_keywords(header: Header) -> dict[str, Any]:
+    """Return the keywords of a run's task, as values of the types that its settings state.
+
+    Raises:
+        RecordingError: The task is not registered, or a value is not legal.
+    """
+    with received("the recording"):
+        _check_registered(header)
+        own = field_types(load_task(header.env_id).settings_type)
+        return _typed({name: each for name, each in header.kwargs.items() if name in own}, header)
+
+
+def _check_registered(header: Header) -> None:
+    if not is_registered(header.env_id):
+        raise RecordingError(
+            f"the recording is of {header.env_id!r}: this version has {', '.join(TASKS)}. Use the version that "
+            "recorded it, or install the package that brings the task"
+        )
+
+
 def _typed(keywords: dict[str, Any], header: Header) -> dict[str, Any]:
     """Return keywords, with those of the task, and cameras, as values of the types that their dataclasses state."""
     settings_type = load_task(header.env_id).settings_type
@@ -104,14 +120,14 @@ def _typed(keywords: dict[str, Any], header: Header) -> dict[str, Any]:
         try:
             value = keywords[name]
             keywords[name] = built(types[name], [value] if name == _CAMERAS and isinstance(value, Mapping) else value)
-        except (DualUR10Error, LookupError, TypeError, ValueError) as error:
+        except (DualUR10Error, LookupError, OverflowError, TypeError, ValueError) as error:
             raise RecordingError(
                 f"the keyword {name} of the recording is not legal: {error}. It is damaged, or of another version"
             ) from error
     try:
         settings_type(**{name: keywords[name] for name in own})  # names are resolved here, where nothing is imported
         EnvOptions(**{name: keywords[name] for name in cameras})
-    except (DualUR10Error, LookupError, TypeError, ValueError) as error:
+    except (DualUR10Error, LookupError, OverflowError, TypeError, ValueError) as error:
         raise RecordingError(f"the keywords of the recording are not legal: {error}") from error
     return keywords
 

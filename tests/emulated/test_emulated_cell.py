@@ -3,6 +3,7 @@
 import dataclasses
 import os
 import re
+import shlex
 import signal
 import socket
 import subprocess
@@ -11,10 +12,12 @@ import time
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import psutil
 import pytest
 from typer.testing import CliRunner
 
+from dual_ur10.assets.prop import Prop
 from dual_ur10.cli import main as cli
 from dual_ur10.emulated.cell_emulator import CellEmulator, CellOptions, write_cell_file
 from dual_ur10.emulated.emulated_cell import EmulatedCell
@@ -29,6 +32,7 @@ from ur_emulator import emulated_controller
 from ur_emulator.addresses import free_address, is_free
 
 ROOT = Path(__file__).parents[2]
+POST = '<mujoco><worldbody><body><geom type="sphere" size="0.02"/></body></worldbody></mujoco>'
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "200"}
 
 
@@ -235,20 +239,44 @@ def test_keywords_of_the_task_decide_the_scene(tmp_path, monkeypatch):
         assert file.emulated_scene == ("DualUR10/Handover-v0", {"grip_force_n": 80})
         assert CellFile.read(tomllib.loads(file.text())) == file
         EnvSetup.resolve("Handover", {"cell": str(path), "grip_force_n": 80, "duration_s": 10.0})
-        for other in ({}, {"grip_force_n": 81}):
-            with pytest.raises(
-                SettingsError, match=r"another scene .* grip_force_n=80: .* --set \"grip_force_n=(60|81)"
-            ):
-                EnvSetup.resolve("Handover", {"cell": str(path), **other})
         EnvSetup.resolve("SineTracking", {"cell": str(path)})  # of another task nothing is compared
     finally:
         emulator.close()
+
+
+@pytest.mark.parametrize("wanted", [{}, {"objects": ["block", "bar"]}, {"objects": ["block"], "grip_force_n": 50.0}])
+def test_the_advice_on_another_scene_starts_a_cell_that_has_it(wanted, tmp_path, monkeypatch):
+    monkeypatch.setattr("dual_ur10.cli.emulate.serve", lambda emulators, **_: made.extend(emulators))
+    path, made = tmp_path / "cell.toml", []
+    Cell(task="Free", settings={"objects": ["block", "bar"], "grip_force_n": 80.0}, cell=str(path)).close()
+    keywords = {"cell": str(path), **wanted}
+    with pytest.raises(SettingsError, match=r"another scene .* grip_force_n=80.0: ") as refused:
+        EnvSetup.resolve("Free", keywords)
+    (command,) = re.findall("`(.*)`", str(refused.value))
+    code, text = run(*shlex.split(command), "--cell", str(path))
+    assert code == 0, text
+    made[0].close()
+    EnvSetup.resolve("Free", keywords)
+
+
+def test_an_object_that_no_command_names_is_advised_by_name(tmp_path):
+    path = tmp_path / "cell.toml"
+    Cell(task="Free", cell=str(path)).close()
+    post = Prop(name="post", mjcf=POST)
+    with pytest.raises(SettingsError, match=r'another scene .* or start the cell with such settings, in which "module'):
+        EnvSetup.resolve("Free", {"cell": str(path), "objects": [post]})
 
 
 @pytest.mark.parametrize("settings", [3, {"objects": object()}, {"grip_force_n": float("nan")}])
 def test_keywords_that_json_does_not_hold_are_refused(settings):
     with pytest.raises(SettingsError, match="values that JSON holds"):
         Cell(task="Free", settings=settings)
+
+
+@pytest.mark.parametrize("value", [object(), np.float32(60.0)])
+def test_an_emulator_of_options_that_json_does_not_hold_is_refused(value):
+    with pytest.raises(SettingsError, match=r"values that JSON holds .* module:NAME"):
+        EmulatedCell(task="Handover", settings={"grip_force_n": value})
 
 
 @pytest.mark.parametrize("text", ["", "kind = 'real'\n", "[left]\nhost = '10.0.0.1'\n", "no toml [", b"\xff\xfe"])

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final, cast
 
 import numpy as np
@@ -54,6 +56,18 @@ def load_task(name: str) -> type[Task[Any, Any]]:
     return task
 
 
+@contextmanager
+def _overflows_named() -> Iterator[None]:
+    """Refuse whole numbers that no float holds, which JSON may bring."""
+    try:
+        yield
+    except OverflowError as error:
+        raise SettingsError(
+            f"a keyword holds a number that is too large: {error}. At most 1e308 is a number here"
+        ) from error
+
+
+@_overflows_named()
 def task_settings(env_id: str, keywords: Mapping[str, Any]) -> Any:
     """Return the settings of a task with these keywords.
 
@@ -103,6 +117,7 @@ class EnvSetup:
     timing: Timing
 
     @classmethod
+    @_overflows_named()
     def resolve(cls, task: str, keywords: Mapping[str, Any], *, ignore_unknown: bool = False) -> EnvSetup:
         """Derive the setup from the keywords of an environment. A path in them is read here.
 
@@ -153,7 +168,7 @@ class EnvSetup:
         )
         setup._check_stages()
         setup._check_emulated_scene()
-        if options.reward_weights:
+        if options.reward_weights or options.progress_weight:
             _ = setup.weights  # an unknown term is refused before anything is made
         return setup
 
@@ -186,13 +201,19 @@ class EnvSetup:
         if theirs == self.settings or self.task_type.requirements(theirs) == self.requirements:
             return
         names = [each.name for each in dataclasses.fields(theirs)]
-        names = [name for name in names if getattr(theirs, name) != getattr(self.settings, name)]
-        here, there = ([f"{name}={getattr(of, name)!r:.80}" for name in names] for of in (self.settings, theirs))
-        options = " ".join(f'--set "{each}"' for each in here)
+        other = [name for name in names if getattr(theirs, name) != getattr(self.settings, name)]
+        here, there = ([f"{name}={getattr(of, name)!r:.80}" for name in other] for of in (self.settings, theirs))
+        # The cell has only what the command names.
+        default = type(theirs)()
+        own = {name: value for name in names if (value := getattr(self.settings, name)) != getattr(default, name)}
+        try:
+            options = "".join(f" --set '{name}={json.dumps(value)}'" for name, value in own.items())
+            start = f"start the cell with `emulate --task {self.env_id}{options}`, in Python with settings={{...}}"
+        except TypeError:
+            start = 'start the cell with such settings, in which "module:NAME" stands for what no JSON holds'
         raise SettingsError(
             f"{self.env_id} with {', '.join(here)} has another scene than the emulated cell, which has "
-            f"{', '.join(there)}: make the environment with these, or start the cell with `emulate --task "
-            f"{self.env_id} {options}`, in Python with settings={{...}}"
+            f"{', '.join(there)}: make the environment with these, or {start}"
         )
 
     @property

@@ -50,6 +50,14 @@ class EmulatorProcess(CellRequests):
     errors: ClassVar[ModuleType] = errors
 
     def __init__(self, log: str | Path | None, options: Mapping[str, Any]) -> None:
+        try:
+            text = json.dumps(options)
+        except (TypeError, ValueError) as error:
+            kind: type[Exception] = self.errors.SettingsError
+            raise kind(
+                f"options of emulated controllers are {options!r:.200}: they must be values that JSON holds ({error}). "
+                "Name an object of your own as module:NAME, and convert NumPy's numbers"
+            ) from error
         # The other process writes and this one reads. Appending keeps the write position independent of reads.
         if log is None:
             self._log: IO[str] = tempfile.TemporaryFile("a+")  # noqa: SIM115  # closed with the cell
@@ -57,7 +65,7 @@ class EmulatorProcess(CellRequests):
             Path(log).write_text("")
             self._log = Path(log).open("a+")  # noqa: SIM115
         self.process = subprocess.Popen(
-            [sys.executable, "-P", "-m", self.module, json.dumps(options)],
+            [sys.executable, "-P", "-m", self.module, text],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._log,

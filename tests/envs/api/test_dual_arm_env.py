@@ -509,6 +509,9 @@ BAD_KEYWORDS = [
     ({"render_mode": "ansi"}, errors.UnknownNameError, "rgb_array"),
     ({"camera": "nose"}, errors.UnknownNameError, "perspective"),
     ({"cell": "gazebo"}, errors.UnknownNameError, "mujoco"),
+    ({"duration_s": 10**400}, errors.SettingsError, "too large"),
+    ({"reward_weights": {"position": 10**400}}, errors.SettingsError, "too large"),
+    ({"progress_weight": 10**400}, errors.SettingsError, "too large"),
 ]
 
 

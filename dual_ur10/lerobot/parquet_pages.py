@@ -97,17 +97,24 @@ def _value(kind: int, data: bytes, at: int) -> tuple[Any, int]:
     if kind in (_TRUE, _FALSE, _BYTE):  # truths are bytes in a list
         return data[at], at + 1
     if kind == _DOUBLE:
-        return None, at + 8
+        return None, at + _fitting(8, data, at)
     if kind == _BINARY:
         length, at = _count(data, at)
-        return None, at + length
+        return None, at + _fitting(length, data, at)
     if kind in (_LIST, _SET):
         head, at = data[at], at + 1
         count, at = _count(data, at) if head >> 4 == 15 else (head >> 4, at)
-        for _ in range(count):
+        for _ in range(_fitting(count, data, at)):  # each takes a byte or more
             _, at = _value(head & 15, data, at)
         return None, at
     raise ValueError(f"a value of kind {kind}")
+
+
+def _fitting(size: int, data: bytes, at: int) -> int:
+    """Return a number of bytes, if so many are left."""
+    if size > len(data) - at:
+        raise ValueError(f"{size} bytes or values in {len(data) - at} bytes")
+    return size
 
 
 def _count(data: bytes, at: int) -> tuple[int, int]:

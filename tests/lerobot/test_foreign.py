@@ -202,6 +202,27 @@ def test_a_page_of_fewer_values_than_none_makes_up_for_no_other(made, tmp_path):
         read_dataset(tmp_path / "dataset")
 
 
+@pytest.mark.parametrize(
+    ("header", "found"),
+    [
+        (b"\x19\xf7" + varint(2**20), f"{2**20} bytes or values in"),  # doubles; of 2^60 nothing would return
+        (b"\x19\xf8" + varint(2**20), f"{2**20} bytes or values in"),
+        (b"\x18" + varint(2**60), f"{2**60} bytes or values in"),
+        (b"\x19" * 2000, "recursion"),
+        (b"\x1c" * 2000, "recursion"),
+    ],
+    ids=["doubles", "binaries", "binary", "lists", "structs"],
+)
+def test_headers_of_pages_promise_no_more_than_their_bytes(header, found, made, tmp_path):
+    metadata = pq.read_metadata(table_of(made[1]))
+    first = metadata.row_group(0).column(0)
+    path = tmp_path / "damaged.parquet"
+    path.write_bytes(table_of(made[1]).read_bytes()[: first.data_page_offset] + header)
+    sizes = {first.path_in_schema.partition(".")[0]: first.num_values // metadata.row_group(0).num_rows}
+    with pytest.raises(DatasetError, match=rf"the header of a page is damaged \(.*{found}"):
+        parquet_pages.check_sizes(path, metadata, sizes)
+
+
 @given(data=st.data())
 def test_damaged_pages_are_refused_by_name(data, tmp_path_factory, made):
     path = tmp_path_factory.getbasetemp() / "damaged.parquet"
@@ -211,9 +232,10 @@ def test_damaged_pages_are_refused_by_name(data, tmp_path_factory, made):
     for _ in range(data.draw(st.integers(1, 4))):
         whole[first.data_page_offset + data.draw(st.integers(0, 40))] = data.draw(st.integers(0, 255))
     path.write_bytes(whole)
-    sizes = {first.path_in_schema.partition(".")[0]: first.num_values // metadata.num_rows}
+    size = first.num_values // metadata.row_group(0).num_rows
     with contextlib.suppress(DatasetError):
-        assert parquet_pages.check_sizes(path, metadata, sizes) == first.num_values
+        sizes = {first.path_in_schema.partition(".")[0]: size}
+        assert parquet_pages.check_sizes(path, metadata, sizes) == metadata.num_rows * size
 
 
 VALUES = st.recursive(

@@ -29,6 +29,7 @@ _STALE_PERIODS: Final = 3.0
 _END_S: Final = 1.0
 _POLL_S: Final = 0.01
 _GUARD_S: Final = 0.2
+_RELEASE_S: Final = 0.3  # for the camera, of the time that the program waits
 _AHEAD_S: Final = 0.1  # an emulated exposure belongs to the end of a control period that has just begun
 
 
@@ -126,17 +127,19 @@ def main(name: str, request: CameraRequest, parent: int, *, system: System = LOC
     system.give_way()
     memory = CameraMemory(request.kept, name)
     request = dataclasses.replace(request, system=system)
-    over = system.event()
+    over, video = system.event(), _Video(memory, system)
 
     def guard() -> None:
-        """End this process with the program, although the camera may make it wait."""
+        """Complete the video and end this process with the program, although the camera may make it wait."""
         while not over.wait(_GUARD_S):
             if memory.ending or system.is_orphan(parent):
-                system.end()
+                video.close()
+                if not over.wait(_RELEASE_S):
+                    system.end()
 
     guarding = system.thread(guard, "camera guard")
     try:
-        with source_of(request) as source, contextlib.closing(_Video(memory)) as video:
+        with source_of(request) as source, contextlib.closing(video):
             _run(source, memory, request, parent, video)
     except DualUR10Error as error:
         memory.lose(str(error))
@@ -148,35 +151,41 @@ def main(name: str, request: CameraRequest, parent: int, *, system: System = LOC
 
 
 class _Video:
-    """Video of a camera, as soon as the program asks for it. A failure of it is no failure of the camera."""
+    """Video of a camera, as soon as the program asks for it. A failure of it is no failure of the camera.
 
-    def __init__(self, memory: CameraMemory) -> None:
-        self._memory, self._failed = memory, False
+    The thread that reads the camera adds to it. Any thread may close it: that one may wait for the camera.
+    """
+
+    def __init__(self, memory: CameraMemory, system: System) -> None:
+        self._memory, self._lock, self._over = memory, system.lock(), False
         self._record: VideoRecord | None = None
 
     def add(self, exposure: Exposure) -> None:
-        """Append an image, if there is to be a video."""
-        if self._failed or (wanted := self._memory.video) is None:
-            return
-        try:
-            if self._record is None:
-                path, begin_s = wanted
-                height, width = exposure.image.shape[:2]
-                self._record = VideoRecord(Path(path), (height, width), begin_s)
-            self._record.add(exposure)
-        except DualUR10Error as error:
-            self._fail(error)
-
-    def close(self) -> None:
-        """Complete the video."""
-        if self._record is not None and not self._failed:
+        """Append an image, if there is to be a video and it is neither closed nor has failed."""
+        with self._lock:
+            if self._over or (wanted := self._memory.video) is None:
+                return
             try:
-                self._record.close()
+                if self._record is None:
+                    path, begin_s = wanted
+                    height, width = exposure.image.shape[:2]
+                    self._record = VideoRecord(Path(path), (height, width), begin_s)
+                self._record.add(exposure)
             except DualUR10Error as error:
                 self._fail(error)
 
+    def close(self) -> None:
+        """Complete the video. May be called twice."""
+        with self._lock:
+            if self._record is not None and not self._over:
+                try:
+                    self._record.close()
+                except DualUR10Error as error:
+                    self._fail(error)
+            self._over = True
+
     def _fail(self, error: DualUR10Error) -> None:
-        self._failed = True
+        self._over = True
         self._memory.fail(str(error))
 
 

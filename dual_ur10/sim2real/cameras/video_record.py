@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
@@ -16,8 +17,9 @@ from dual_ur10.sim2real.cameras.pyav import pyav
 
 _USE: Final = "the record of a camera"
 _PER_S: Final = 1_000_000  # of the time base
-_OPTIONS: Final = {"preset": "ultrafast", "tune": "zerolatency", "crf": "23", "g": "30", "threads": "1"}
-# Readable up to the last second where its process was killed.
+_OPTIONS: Final = {"preset": "ultrafast", "tune": "zerolatency", "crf": "23", "threads": "1"}
+_KEY_S: Final = 0.5  # a fragment is written with the next key frame, at most a second after its first image
+# Readable up to the last second where its process was killed, or without the last image of a slow camera.
 _CONTAINER: Final = {
     "movflags": "frag_keyframe+delay_moov+default_base_moof",  # with the time of the first image
     "flush_packets": "1",
@@ -57,6 +59,7 @@ class VideoRecord:
     def __init__(self, path: Path, size: tuple[int, int], begin_s: float) -> None:
         self._av, self._path, self._begin_s = pyav(_USE), path, begin_s
         self._size = size[0] // 2 * 2, size[1] // 2 * 2
+        self._key_s = -math.inf
         self._errors = (self._av.FFmpegError, OSError, ValueError)
         try:
             self._file = self._av.open(str(path), "w", options=_CONTAINER)
@@ -79,6 +82,8 @@ class VideoRecord:
         image = np.ascontiguousarray(exposure.image[: self._size[0], : self._size[1]])
         frame = self._av.VideoFrame.from_ndarray(image, format="rgb24")
         frame.pts, frame.time_base = at, Fraction(1, _PER_S)
+        if exposure.exposed_s - self._key_s >= _KEY_S:
+            self._key_s, frame.pict_type = exposure.exposed_s, self._av.video.frame.PictureType.I
         try:
             self._file.mux(self._stream.encode(frame))
         except self._errors as error:

@@ -63,8 +63,12 @@ def replay(
     if page:
         if cell is not None or arm is not None or power:
             raise SettingsError("--page moves nothing: leave out --cell, --arm and --power-on")
+        if record != RUNS or no_record:
+            raise SettingsError("--page records nothing: leave out --record and --no-record")
         _show(run, episode, seconds, allow_partial=allow_partial, browser=not no_browser, port=port)
         return
+    if seconds is not None or port != PORT or no_browser:
+        raise SettingsError("--seconds, --port and --no-browser are for the page: add --page, or leave them out")
     from dual_ur10.sim2real.analysis.reconstruction import task_keywords
     from dual_ur10.sim2real.analysis.replay import replay as play
     from dual_ur10.sim2real.analysis.replay import source_of

@@ -37,8 +37,9 @@ def check_sizes(path: Path, metadata: Any, sizes: Mapping[str, int]) -> int:
         for number in range(metadata.num_row_groups):
             group = metadata.row_group(number)
             for chunk in map(group.column, range(group.num_columns)):
-                name = chunk.path_in_schema.partition(".")[0]
-                if name not in sizes:
+                path_in_file = f"{chunk.path_in_schema}."
+                name = max((each for each in sizes if path_in_file.startswith(f"{each}.")), key=len, default=None)
+                if name is None:
                     continue
                 expected = group.num_rows * sizes[name]
                 found = chunk.num_values if chunk.num_values != expected else _values_in(file, path, chunk)

@@ -16,6 +16,7 @@ from ur_core.objects import load_object
 
 pytest.importorskip("av")
 STEPS = 8
+SHOWN = ("--page", "--no-browser", "--port", "0", "--seconds", "0.5")
 
 
 class Clock:
@@ -98,10 +99,27 @@ def test_each_step_is_shown_at_its_time_with_the_newest_image(recorded):
 def test_the_command_shows_a_record_and_moves_nothing(recorded):
     pytest.importorskip("viser")
     folder, _ = recorded
-    arguments = ("replay", str(folder), "--page", "--no-browser", "--port", "0")
-    code, text = run(*arguments, "--seconds", "0.5")
+    arguments = ("replay", str(folder), *SHOWN)
+    code, text = run(*arguments)
     assert code == 0, text
     assert "the page is at http://127.0.0.1:" in text
     code, text = run(*arguments, "--cell", "virtual")
     assert code == 2
     assert "--page moves nothing" in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((*SHOWN, "--record", "elsewhere"), "--page records nothing"),
+        ((*SHOWN, "--no-record"), "--page records nothing"),
+        (("--seconds", "1"), "are for the page"),
+        (("--port", "0"), "are for the page"),
+        (("--no-browser",), "are for the page"),
+    ],
+)
+def test_options_of_the_other_replay_are_refused(recorded, arguments, words):
+    pytest.importorskip("viser")
+    code, text = run("replay", str(recorded[0]), *arguments)
+    assert code == 2
+    assert words in text

@@ -37,6 +37,7 @@ _VALUE_BYTES: Final = 8  # of the largest kind
 _MOST_JSON: Final = 64 * 2**20
 _MOST_FEATURES: Final = 1000
 _TIME_S: Final = 1e-3  # largest distance of a frame from the grid
+_PLACE: Final = DatasetFeature("int64", (1,))
 _KINDS: Final = {"float32", "float64", "int64", "int32", "bool"}
 
 
@@ -226,7 +227,7 @@ def _values(column: Any, feature: DatasetFeature, what: str) -> NDArray[Any]:
     try:
         values = np.asarray(combined.to_numpy(zero_copy_only=False)).astype(feature.dtype, casting="same_kind")
     except (TypeError, pa.ArrowException) as error:
-        raise DatasetError(f"{what} is {combined.type}, and meta/info.json states {feature.dtype}: {error}") from None
+        raise DatasetError(f"{what} is {combined.type}, expected is {feature.dtype}: {error}") from None
     if values.dtype.kind == "f" and not np.isfinite(values).all():
         raise DatasetError(f"{what} has values that are not finite")
     return values.reshape(rows, *shape)
@@ -287,9 +288,11 @@ def _videos(folder: Path, info: _DatasetInfo, key: str, lengths: list[int]) -> I
     row = 0
     for path in sorted(folder.glob("meta/episodes/chunk-*/*.parquet"), key=_number_of):
         table, _ = _table(path, dict.fromkeys(names, 1), MOST_BYTES)
-        pairs = zip(*(table.column(name).to_numpy() for name in names), strict=True)
-        for chunk, file in itertools.islice(pairs, len(lengths) - row):
-            video = folder / f"videos/{key}/chunk-{int(chunk):03d}/file-{int(file):03d}.mp4"
+        places = [_values(table.column(name), _PLACE, f"{path}, {name}") for name in names]
+        if min(each.min(initial=0) for each in places) < 0:
+            raise DatasetError(f"{path} has a negative chunk or file of {key!r:.80}: copy it again")
+        for chunk, file in itertools.islice(zip(*places, strict=True), len(lengths) - row):
+            video = folder / f"videos/{key}/chunk-{chunk:03d}/file-{file:03d}.mp4"
             frames[video] = frames.get(video, 0) + lengths[row]
             row += 1
     if row != len(lengths):

@@ -141,6 +141,31 @@ def test_a_dataset_that_is_not_as_it_states_is_refused(made, tmp_path, change, m
         read_dataset(tmp_path / "dataset")
 
 
+@pytest.mark.parametrize("column", ["chunk_index", "file_index"])
+@pytest.mark.parametrize(
+    ("places", "message"),
+    [
+        (["0", "x"], "is string, expected is int64"),
+        ([0.0, np.nan], "is double, expected is int64"),
+        ([0.0, np.inf], "is double, expected is int64"),
+        ([0, None], "2 values in 2 rows"),
+        ([[0], [None]], "2 values in 2 rows"),
+        ([0, -1], "has a negative chunk or file of 'observation.images.front'"),
+    ],
+)
+def test_places_of_videos_that_are_no_numbers_are_refused(made, tmp_path, column, places, message):
+    folder, key = shutil.copytree(made[1], tmp_path / "dataset"), "observation.images.front"
+    features = json.loads((folder / "meta/info.json").read_text())["features"]
+    stated(features=features | {key: {"dtype": "video", "shape": [8, 8, 3]}})(folder)
+    path = folder / "meta/episodes/chunk-000/file-000.parquet"
+    table = pq.read_table(path)
+    for name in ("chunk_index", "file_index"):
+        table = table.append_column(f"videos/{key}/{name}", pa.array(places if name == column else [0, 0]))
+    pq.write_table(table, path)
+    with pytest.raises(DatasetError, match=message):
+        read_dataset(folder)
+
+
 def varint(number, size=0):
     """A number without a sign in Thrift's compact protocol, of at least so many bytes."""
     found = bytearray()

@@ -96,10 +96,11 @@ def rollout(
                 late = made.unwrapped.core.late_actions
     except KeyboardInterrupt:
         end = ""
-        if cell is not None:
-            runner = made.unwrapped.core.cell.runner
+        if made.unwrapped.core.config.controllers:
+            runner = getattr(made.unwrapped.core.cell, "runner", None)  # none in a kind of cell of one's own
             close(made, actor)
-            end = ": " + ("both arms have stopped" if runner.stopped else "check both arms, one was not seen to stop")
+            seen = runner is not None and runner.stopped
+            end = ": " + ("both arms have stopped" if seen else "check both arms, one was not seen to stop")
         errors.print(f"interrupted{end}", highlight=False, soft_wrap=True)
         if returns:
             console.print(table)

@@ -143,7 +143,17 @@ def test_rollout_prints_a_row_per_episode_and_a_summary(name: str) -> None:
     assert not logging.getLogger(run_folder.__name__).handlers  # not for what records later
 
 
-def test_ctrl_c_keeps_the_rows_of_finished_episodes(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("cell", "words"),
+    [
+        ((), "interrupted"),
+        (("--cell", "echo"), "interrupted"),
+        (("--cell", "virtual"), "interrupted: both arms have stopped"),
+    ],
+)
+def test_ctrl_c_keeps_the_rows_of_finished_episodes(
+    cell: tuple[str, ...], words: str, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "tired.py").write_text("""
 import numpy as np
 
@@ -157,10 +167,11 @@ class Tired:
         return np.zeros(12, dtype=np.float32)
 """)
     monkeypatch.syspath_prepend(tmp_path)
-    code, text = run("rollout", "SineTracking", "-p", "tired:Tired", "-n", "200", "--no-record", *SHORT)
+    code, text = run("rollout", "SineTracking", "-p", "tired:Tired", "-n", "200", "--no-record", *SHORT, *cell)
+    sys.modules.pop("tired")
     assert code == INTERRUPTED
     assert [line.split()[1] for line in text.splitlines() if line.startswith("│")] == ["0", "1"]
-    assert text.splitlines()[0] == "interrupted"
+    assert text.splitlines()[0] == words
     assert text.splitlines()[-1].endswith(" of 2; 200 were asked for")
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
 import gymnasium as gym
 import numpy as np
@@ -17,6 +17,7 @@ from dual_ur10.lerobot.positions import Positions
 from dual_ur10.policies.learned.lerobot_files import IMAGES, image_key, image_keys
 from dual_ur10.policies.learned.signature import view_of_env
 
+_INSTEAD: Final = {"max_episode_steps": "give episode_length instead", "disable_env_checker": "leave it out"}
 STATE, ENVIRONMENT, PIXELS = "agent_pos", "environment_state", "pixels"
 
 
@@ -37,12 +38,15 @@ class LeRobotView(gym.Wrapper[dict[str, Any], Any, Any, Any]):
         task_description: Its name in words.
 
     Raises:
-        SettingsError: The task has no horizon, and no length is given.
+        SettingsError: The task has no horizon and no length is given, or a keyword is one that the view itself sets.
         DualUR10Error: A name or a value is not legal.
     """
 
     def __init__(self, task: str, *, episode_length: int | None = None, **keywords: Any) -> None:
         env_id = env_id_of(task)
+        for name, instead in _INSTEAD.items():
+            if name in keywords:
+                raise SettingsError(f"{name} is set by {type(self).__name__} itself: {instead}")
         self._pictured = "cameras" in keywords
         made = {**keywords, "action_mode": "joint_position", "observation": "both" if self._pictured else "state"}
         env = gym.make(env_id, max_episode_steps=episode_length, disable_env_checker=True, **made)

@@ -120,3 +120,12 @@ def test_the_view_is_an_environment_of_gymnasium():
     env.close()
     with pytest.raises(SettingsError, match="do not end: give them a length"):
         LeRobotView("Free")
+
+
+@pytest.mark.parametrize(
+    ("keyword", "words"),
+    [("max_episode_steps", "give episode_length instead"), ("disable_env_checker", "leave it out")],
+)
+def test_keywords_that_the_view_sets_are_refused_by_name(keyword, words):
+    with pytest.raises(SettingsError, match=f"{keyword} is set by LeRobotView itself: {words}"):
+        LeRobotView("Handover", **{keyword: 3})

@@ -117,6 +117,15 @@ def test_lerobot_finds_the_distributions_by_their_names():
     assert {f"lerobot_{kind}_dual_ur10" for kind in ("robot", "teleoperator", "env")} <= names
 
 
+def test_cameras_that_would_have_one_name_are_refused():
+    from lerobot_robot_dual_ur10 import DualUR10Robot, DualUR10RobotConfig
+
+    from dual_ur10.errors import DatasetError
+
+    with pytest.raises(DatasetError, match="'left/wrist' and 'left_wrist' would both be"):
+        DualUR10Robot(DualUR10RobotConfig(images=["left/wrist", "left_wrist"]))
+
+
 def test_lerobot_loads_exported_datasets(run, exported):
     for each in exported:
         assert "episodes are equal" in run(HERE / "load.py", each)

@@ -11,7 +11,7 @@ from lerobot.robots import Robot
 
 from dual_ur10.errors import ClosedError
 from dual_ur10.lerobot.live_arms import LiveArms
-from dual_ur10.policies.learned.lerobot_files import IMAGES, image_key
+from dual_ur10.policies.learned.lerobot_files import IMAGES, image_key, image_keys
 from lerobot_robot_dual_ur10.config_dual_ur10 import DualUR10RobotConfig
 
 _connected: weakref.WeakSet[DualUR10Robot] = weakref.WeakSet()
@@ -30,12 +30,16 @@ class DualUR10Robot(Robot):
     Attributes:
         cameras: Names of the observed cameras, as LeRobot's recorder counts them.
         arms: The arms.
+
+    Raises:
+        DualUR10Error: A name or a value is not legal, or two cameras would have one name in LeRobot.
     """
 
     config_class = DualUR10RobotConfig
     name = "dual_ur10"
 
     def __init__(self, config: DualUR10RobotConfig) -> None:
+        image_keys(config.images)  # no two are one
         super().__init__(config)
         self.config = config
         record = {} if config.record is None else {"record": config.record, "record_about": {"policy": "LeRobot"}}

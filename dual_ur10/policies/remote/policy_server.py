@@ -6,6 +6,7 @@ import hmac
 import http
 import ipaddress
 import logging
+import socket
 import threading
 import time
 from collections.abc import Mapping
@@ -19,6 +20,9 @@ from dual_ur10.policies.chunks.chunk_policy import ChunkPolicy
 from dual_ur10.policies.remote.wire import MOST_BYTES, packed, unpacked
 
 _TURN_S: Final = 1.0
+_PROBES: Final = {"TCP_KEEPIDLE": 10, "TCP_KEEPINTVL": 5, "TCP_KEEPCNT": 3, "TCP_USER_TIMEOUT": 25_000}
+"""Options that end the connection of a machine that is silent for 25 s, as far as the platform has them."""
+
 _LOG: Final = logging.getLogger(__name__)
 
 
@@ -109,6 +113,10 @@ class PolicyServer:
 
     def _serve(self, connection: Any) -> None:
         """Answer one client."""
+        connection.socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        for name, value in _PROBES.items():
+            if hasattr(socket, name):
+                connection.socket.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
         if not self._turn.acquire(timeout=_TURN_S):  # a client that comes back may be sooner than its own end
             _end(connection, "busy: this server answers one client at a time")
             return

@@ -2,6 +2,7 @@
 
 import http.client
 import re
+import socket
 from pathlib import Path
 
 import msgspec
@@ -120,6 +121,23 @@ def test_the_server_speaks_openpis_protocol():
         health.close()
         with pytest.raises(websockets.exceptions.InvalidStatus, match="403"):
             websockets.sync.client.connect(server.address, origin="http://evil.example", proxy=None)
+
+
+def test_the_kernel_finds_clients_whose_machine_is_gone():
+    accepted = []
+
+    class Watched(PolicyServer):
+        def _serve(self, connection):
+            accepted.append(connection.socket)
+            super()._serve(connection)
+
+    with Watched(Lift(), {}, port=0) as server, client(server.address) as one:
+        one.recv()
+        (found,) = accepted
+        assert found.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE)
+        for name, value in policy_server._PROBES.items():
+            if hasattr(socket, name):
+                assert found.getsockopt(socket.IPPROTO_TCP, getattr(socket, name)) == value
 
 
 def test_other_machines_need_a_token(tmp_path):

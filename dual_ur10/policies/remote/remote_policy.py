@@ -176,7 +176,7 @@ class RemotePolicy:
             found = f"a dict of {', '.join(map(repr, answer))}" if isinstance(answer, dict) else type(answer).__name__
             raise PolicyServerError(f"{self.address} answered with {found:.200}: an answer has {key!r}")
         try:
-            actions = np.asarray(answer[key]) if isinstance(answer[key], np.ndarray | list) else np.zeros(0)
+            actions = np.asarray(answer[key]) if _is_of_numbers(answer[key]) else np.zeros(0)
         except ValueError as error:
             raise PolicyServerError(f"{self.address} sent actions that are no array: {error}") from None
         if actions.ndim == 3 and len(actions) == 1:
@@ -213,6 +213,13 @@ class RemotePolicy:
         except PolicyServerError:
             self.close()
             raise
+
+
+def _is_of_numbers(value: Any) -> bool:
+    """Return True if a value holds numbers alone: an array of texts takes the longest one's memory for each of them."""
+    if isinstance(value, list):
+        return all(map(_is_of_numbers, value))
+    return isinstance(value, np.ndarray | int | float)
 
 
 class RemoteSteps:

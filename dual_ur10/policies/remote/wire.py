@@ -95,4 +95,7 @@ def _array(value: dict[Any, Any], whose: str) -> Any:
     if not isinstance(data, bytes) or len(data) != math.prod(axes) * kind.itemsize:
         size = len(data) if isinstance(data, bytes) else type(data).__name__
         raise PolicyServerError(f"{whose} sent an array of {dtype} and shape {shape}, but {size} bytes of it")
-    return np.frombuffer(data, dtype=kind).reshape(axes)
+    try:
+        return np.frombuffer(data, dtype=kind).reshape(axes)
+    except ValueError as error:  # of no numbers, beside an axis of any length
+        raise PolicyServerError(f"{whose} sent an array of shape {shape!r:.80}: {error}") from None

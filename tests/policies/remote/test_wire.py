@@ -52,6 +52,8 @@ ARRAY = {b"__ndarray__": True, b"data": bytes(8), b"dtype": "<f4", b"shape": [2]
         ({b"shape": "2"}, "shape"),
         ({b"shape": [1, 1, 1, 1, 1, 2]}, "at most 5 axes"),
         ({b"shape": [2**40, 2**40]}, "but 8 bytes"),
+        ({b"shape": [0, 2**62], b"data": b""}, "too big"),
+        ({b"shape": [0, 2**64 - 1], b"data": b""}, "dimension"),
         ({b"data": "text"}, "but str bytes"),
         ({b"data": None}, "but NoneType bytes"),
     ],

@@ -32,7 +32,7 @@ from dual_ur10.sim2real.trajectory.goal import (
 )
 from dual_ur10.sim2real.trajectory.handle import GoalHandle
 from dual_ur10.sim2real.trajectory.interpolation import Interpolation
-from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, ResultCode
+from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, ResultCode, too_long
 from dual_ur10.sim2real.trajectory.path_check import PathCheck, TargetLaw
 from dual_ur10.sim2real.trajectory.smooth_path import ROUNDING_S, SmoothPath
 from ur_core.kinematics.forward import flange_pose
@@ -175,6 +175,8 @@ class TrajectoryExecutor(Closing):
         goal = handle.goal
         if self.stepper.why_not:
             return self._reject(handle, self.stepper.why_not)
+        if text := too_long(goal.trajectory.duration_s):
+            return self._reject(handle, text)
         if goal.start_s is not None and goal.start_s < self.time_s - 1e-9:
             text = f"the goal starts at {goal.start_s:g} s, and now is {self.time_s:g} s: choose a later start, or none"
             return self._reject(handle, text, ResultCode.OLD_HEADER_TIMESTAMP)
@@ -371,15 +373,19 @@ class TrajectoryExecutor(Closing):
         """Continue a stream with more points, or end it.
 
         Raises:
-            TrajectoryError: The gate would refuse a target on the way. Nothing changes.
+            TrajectoryError: The last point is too far ahead, or the gate would refuse a target on the way. Nothing
+                changes.
         """
         check = self._stream if self._pending is None or handle is not self._pending.handle else self._pending.check
         if check is None:
             raise TrajectoryError("this stream has ended: send another goal")
-        known_s, from_s = _known_s(handle.goal, check.path), -math.inf
+        known_s, now_s, from_s = _known_s(handle.goal, check.path), 0.0, -math.inf
         if handle is self._active:
-            from_s = self.stepper.course.path_s(self.time_s) - _KEPT_S
+            now_s = self.stepper.course.path_s(self.time_s)
+            from_s = now_s - _KEPT_S
             goal = goal.since(from_s)
+        if text := too_long(goal.trajectory.duration_s - now_s):
+            raise TrajectoryError(text)
         following = self._path_of(goal)
         ahead = check.on(check.path.continued(following, known_s, from_s))
         refusal = ahead.work(_end_of_check(goal, ahead, self.law))

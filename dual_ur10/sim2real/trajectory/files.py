@@ -20,7 +20,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from dual_ur10.errors import MissingExtraError, TrajectoryError, UnknownNameError
-from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, ResultCode
+from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, ResultCode, too_long
 from ur_core.files import check_target, read_named
 from ur_core.findings import path_of
 from ur_core.kinematics.ur10 import ARMS, JOINTS
@@ -130,10 +130,14 @@ def parse_trajectory(
         raise TrajectoryError(f"{where} is no text in UTF-8: {error}") from None
     try:
         if kind == "csv":
-            return _from_csv(_whole_rows(text, allow_partial), number_points)
-        return _from_message(_loaded(text, kind), number_points)
+            found = _from_csv(_whole_rows(text, allow_partial), number_points)
+        else:
+            found = _from_message(_loaded(text, kind), number_points)
+        if not number_points and (text := too_long(found.duration_s)):
+            raise TrajectoryError(text)
     except TrajectoryError as error:
         raise TrajectoryError(f"{where}: {error}", error.code) from None
+    return found
 
 
 def write_trajectory(path: str | Path, trajectory: JointTrajectory) -> Path:

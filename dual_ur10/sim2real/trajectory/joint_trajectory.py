@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from dual_ur10.errors import TrajectoryError
 from ur_core.kinematics.ur10 import ARMS, JOINTS
 from ur_core.types import Array
+
+MOST_DURATION_S: Final = 3600.0
+"""Longest duration of a goal, and of what a stream knows ahead: the check of such a path takes some seconds."""
 
 
 class ResultCode(IntEnum):
@@ -84,6 +87,16 @@ class JointTrajectory:
     def duration_s(self) -> float:
         """Time of the last point."""
         return float(self.time_s[-1])
+
+
+def too_long(duration_s: float) -> str:
+    """Return why a goal may not last so long; "" if it may."""
+    if duration_s <= MOST_DURATION_S:
+        return ""
+    return (
+        f"the last point is {duration_s:g} s ahead, allowed are at most {MOST_DURATION_S:g} s in one goal: cut the "
+        "trajectory into goals that follow each other"
+    )
 
 
 def _numbers(name: str, value: Any, shape: tuple[int, ...] | None, arms: tuple[str, ...] = ()) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from dataclasses import dataclass
-from typing import NamedTuple, Self
+from typing import Final, NamedTuple, Self
 
 import numpy as np
 
@@ -17,6 +17,8 @@ from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
 from dual_ur10.sim2real.trajectory.smooth_path import SmoothPath
 from ur_core.servoj import ServojProfile
 from ur_core.types import Array
+
+_WINDOWS_AT_ONCE: Final = 1000  # of which a rehearsal computes the targets together
 
 
 @dataclass(frozen=True)
@@ -103,10 +105,12 @@ def reason_of(verdict: Verdict) -> str:
 
 def rehearse(gate: SafetyGate, law: TargetLaw, course: Course, from_s: float, count: int) -> Refusal | None:
     """Pass windows of a course through a gate for checks, and return the first refusal."""
-    for number, window in enumerate(law.windows(course, from_s, count)):
-        verdicts = gate(window).verdicts
-        if verdicts:
-            return Refusal(course.path_s(from_s + number * law.period_s), verdicts[0])
+    for first in range(0, count, _WINDOWS_AT_ONCE):
+        windows = law.windows(course, from_s + first * law.period_s, min(_WINDOWS_AT_ONCE, count - first))
+        for number, window in enumerate(windows, first):
+            verdicts = gate(window).verdicts
+            if verdicts:
+                return Refusal(course.path_s(from_s + number * law.period_s), verdicts[0])
     return None
 
 

@@ -20,7 +20,7 @@ from dual_ur10.errors import TrajectoryError
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import HISTORY, MotionLimits
 from dual_ur10.sim2real.trajectory.interpolation import Interpolation, make_interp_spline
-from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
+from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, too_long
 from dual_ur10.sim2real.trajectory.path_check import PathCheck, Refusal, TargetLaw
 from dual_ur10.sim2real.trajectory.smooth_path import SmoothPath
 from ur_core.kinematics.forward import elbow_flange_and_tcp
@@ -113,6 +113,8 @@ def time_path(
     for name, value in (("blend_rad", blend_rad), ("duration_s", 1.0 if duration_s is None else duration_s)):
         if not (math.isfinite(value) and value > 0.0):
             raise TrajectoryError(f"{name} is {value!r}: it must be above 0 and finite")
+    if duration_s is not None and (text := too_long(duration_s)):
+        raise TrajectoryError(text)
     shortest_s, refusal = 0.0, None
     for care in _CARE:
         trajectory = _timed(

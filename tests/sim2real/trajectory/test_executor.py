@@ -8,9 +8,11 @@ import pytest
 
 from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.errors import ClosedError, SettingsError, StartError, TrajectoryError
+from dual_ur10.sim2real.trajectory import joint_trajectory, path_check
 from dual_ur10.sim2real.trajectory.goal import START_RAD, GoalState, TrajectoryGoal
 from dual_ur10.sim2real.trajectory.interpolation import Interpolation
-from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, ResultCode
+from dual_ur10.sim2real.trajectory.joint_trajectory import MOST_DURATION_S, JointTrajectory, ResultCode
+from dual_ur10.sim2real.trajectory.path_check import TargetLaw
 from tests.sim2real.trajectory.following import DIRECTIONS, TICKS, check_sent, made, part, wave
 from tests.soak import scaled
 from ur_core.processes.machine_load import too_busy
@@ -321,7 +323,8 @@ def test_a_stream_runs_out_of_points_at_random_instants():
         assert_on_path(handle.feedback, trajectory, 3e-3 if trajectory.qd_rad_s is None else 5e-4)
 
 
-def test_a_stream_goes_on_for_long_without_keeping_its_past():
+def test_a_stream_goes_on_for_long_without_keeping_its_past(monkeypatch):
+    monkeypatch.setattr(joint_trajectory, "MOST_DURATION_S", 3.0)  # ahead of the arms
     executor = made()
     trajectory = wave(20.0, 501, 0.4)
     handle = executor.execute(TrajectoryGoal(part(trajectory, 0, 30), stream=True))
@@ -330,6 +333,9 @@ def test_a_stream_goes_on_for_long_without_keeping_its_past():
         while handle.result is None and executor.time_s < trajectory.time_s[known] - 0.5:
             executor.step()
     assert len(handle.goal.trajectory) < 60
+    later = executor.stepper.course.path_s(executor.time_s) + 3.01
+    with pytest.raises(TrajectoryError, match=r"the last point is 3\.01 s ahead, allowed are at most 3 s in one goal"):
+        handle.append(dataclasses.replace(part(trajectory, 500, 501), time_s=[later]))
     handle.complete()
     result = handle.wait()
     assert result.succeeded, result.text
@@ -364,6 +370,33 @@ def test_a_path_that_cannot_be_followed_is_rejected_and_nothing_moves(trajectory
     assert (result.state, result.code) == (GoalState.REJECTED, ResultCode.INVALID_GOAL)
     assert re.search(text, result.text), result.text
     assert (np.array(executor.cell.sent) == HOME_Q_RAD).all()
+
+
+@pytest.mark.parametrize("time_s", [[0.0, MOST_DURATION_S + 1.0], [MOST_DURATION_S + 1.0]])
+@pytest.mark.parametrize("stream", [False, True])
+def test_a_goal_that_lasts_too_long_is_rejected(time_s, stream):
+    executor = made()
+    running = executor.execute(wave())
+    steps(executor, 10)
+    points = JointTrajectory(("left", "right"), time_s, [HOME_Q_RAD] * len(time_s))
+    result = executor.execute(TrajectoryGoal(points, stream=stream)).result
+    assert (result.state, result.code) == (GoalState.REJECTED, ResultCode.INVALID_GOAL)
+    assert "is 3601 s ahead, allowed are at most 3600 s in one goal: cut the trajectory into goals" in result.text
+    assert running.wait().succeeded
+
+
+def test_the_targets_of_a_long_path_are_not_computed_at_once(monkeypatch):
+    whole = made().execute(through_the_table()).result.text
+    counts, windows = [], TargetLaw.windows
+    monkeypatch.setattr(path_check, "_WINDOWS_AT_ONCE", 7)
+    monkeypatch.setattr(
+        TargetLaw,
+        "windows",
+        lambda law, course, from_s, count: counts.append(count) or windows(law, course, from_s, count),
+    )
+    assert made().execute(through_the_table()).result.text == whole
+    assert len(counts) > 10
+    assert max(counts) == 7
 
 
 def test_arms_that_are_not_where_they_were_commanded_begin_nothing():

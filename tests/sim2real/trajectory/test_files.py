@@ -156,6 +156,17 @@ def test_a_wrong_table_is_named(content, text):
     assert text in str(found.value)
 
 
+def test_a_trajectory_that_no_goal_may_last_is_refused():
+    text = f"{HEADER}\n0,1,2,3,4,5,6\n1e9,1,2,3,4,5,6\n"
+    with pytest.raises(TrajectoryError, match=r"is 1e\+09 s ahead, .* cut the trajectory into goals") as found:
+        parse_trajectory(text.encode(), "csv")
+    assert found.value.code == ResultCode.INVALID_GOAL
+    message = MESSAGE.replace("{sec: 2}", "{sec: 3601}").encode()
+    with pytest.raises(TrajectoryError, match="is 3601 s ahead"):
+        parse_trajectory(message, "yaml")
+    assert parse_trajectory(message, "yaml", number_points=True).duration_s == 3601.0  # times do not count there
+
+
 ROWS = f"{HEADER}\n0,1.25,2.25,3.25,4.25,5.25,6.25\n1,1.5,2.5,3.5,4.5,5.5,6.5\n"
 
 

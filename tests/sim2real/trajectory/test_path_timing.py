@@ -149,6 +149,8 @@ def test_a_duration_is_kept_or_refused_with_the_shortest():
         assert refusal_of(trajectory, HOME_Q_RAD, gate, law) is None
     with pytest.raises(TrajectoryError, match=rf"duration_s is 0\.1: .* takes {shortest_s:.3f} s or more\. Allow that"):
         time_path(corners, gate, law, duration_s=0.1)
+    with pytest.raises(TrajectoryError, match="is 3601 s ahead, allowed are at most 3600 s"):
+        time_path(corners, gate, law, duration_s=3601.0)
 
 
 @pytest.mark.parametrize("arm", [0, 1])

@@ -71,6 +71,7 @@ class LiveArms:
         self._process: Child | None = None
         self._exchange: Exchange | None = None
         self._connection: Connection | None = None
+        self._ready = False
         self._error: BaseException | None = None
 
     def __repr__(self) -> str:
@@ -80,13 +81,15 @@ class LiveArms:
     @property
     def started(self) -> bool:
         """True while the arms can be commanded."""
-        if self._process is None:
+        if not self._ready:
             return False
         self._receive()
         return self._error is None
 
     def start(self) -> None:
         """Move both arms to their start, which an operator confirms on real arms, and hold it.
+
+        Whatever ends this early, such as Ctrl-C, also stops both arms.
 
         Raises:
             DualUR10Error: The arms are not ready, or the operator did not confirm.
@@ -95,6 +98,13 @@ class LiveArms:
             return
         self.stop()
         self._error = None
+        try:
+            self._start()
+        except BaseException:
+            self.stop()
+            raise
+
+    def _start(self) -> None:
         layout = {
             "target": (len(self.names),),
             "observation": (self._observed,),
@@ -106,14 +116,13 @@ class LiveArms:
             number, shared = theirs.fileno(), self._exchange.name
             work = (number, shared, layout, self._env_id, dict(self._keywords), self.cameras)
             self._process = Child(run, *work, files=[number], name="live-arms")
-        while self._error is None:
+        while not self._ready:
             message, content = self._next()
-            if message == "ready":
-                return
+            if self._error is not None:
+                raise self._error
             if message == "confirm":
                 self._connection.send(self._confirmed(content))
-        self.stop()
-        raise self._error
+            self._ready = message == "ready"
 
     def _confirmed(self, text: str) -> bool:
         return not self._asks or ask_at_terminal(text)
@@ -137,6 +146,7 @@ class LiveArms:
         """Stop both arms on their path, and release them. May be called twice."""
         process, connection, exchange = self._process, self._connection, self._exchange
         self._process = self._connection = self._exchange = None
+        self._ready = False
         if connection is not None:
             connection.close()
         if process is not None and not process.wait(_END_S):
@@ -146,10 +156,11 @@ class LiveArms:
 
     def _check(self) -> Exchange:
         """Return the shared memory, if the arms can be commanded."""
-        self._receive()
+        if self._ready:
+            self._receive()
         if self._error is not None:
             raise self._error
-        if self._exchange is None:
+        if self._exchange is None or not self._ready:
             raise ClosedError("the arms are not started, or were stopped: start them first")
         return self._exchange
 

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 
 import numpy as np
 import pytest
 
-from dual_ur10.errors import ActionError, ClosedError, LinkError, SettingsError, UnknownNameError
+from dual_ur10 import ids
+from dual_ur10.errors import ActionError, ClosedError, LinkError, SettingsError, StartError, UnknownNameError
+from dual_ur10.lerobot import live_arms
 from dual_ur10.lerobot.dataset_reader import read_dataset
 from dual_ur10.lerobot.features import ACTION, ENVIRONMENT_STATE, STATE
 from dual_ur10.lerobot.gym_view import LeRobotView
 from dual_ur10.lerobot.live_arms import LiveArms, LiveOperator
 from dual_ur10.policies.operators.device import Reading
+from dual_ur10.sim2real.cell.cell_kinds import CELL_KINDS
 from tests.lerobot.conftest import STEPS
 
 
@@ -41,6 +45,76 @@ def until(reached, tries=1000):
             return True
         waiting.wait(0.01)
     return False
+
+
+APPROACHES = """
+import time
+from pathlib import Path
+
+from dual_ur10.envs.sim.mujoco_cell import MujocoCell
+from dual_ur10.errors import StartError
+from dual_ur10.sim2real.cell.cell_kinds import register_cell
+
+LOG = Path(__file__).with_name("log")
+
+
+def note(word):
+    with LOG.open("a") as file:
+        file.write(word + "\\n")
+
+
+class Approaching(MujocoCell):
+    def reset(self, start, rows=None, **others):
+        if not self.confirm("They move."):
+            raise StartError("the motion was not confirmed")
+        note("moves")
+        try:
+            for _ in range(self.tenths):
+                time.sleep(0.1)
+        except KeyboardInterrupt:
+            note("stops")
+            raise
+        note("arrives")
+        return super().reset(start, rows, **others)
+
+    def close(self):
+        note("closes")
+        super().close()
+
+
+def make(request, tenths=0):
+    cell = Approaching(request.config, request.ticks, latency_ticks=request.latency_ticks)
+    cell.confirm, cell.tenths = request.confirm, tenths
+    return cell
+
+
+def make_slow(request):
+    return make(request, 3000)
+
+
+register_cell("near", "approaching:make", controllers=True)
+register_cell("far", "approaching:make_slow", controllers=True)
+"""
+
+
+@pytest.fixture
+def log(tmp_path, monkeypatch):
+    """Words that two cells of an installed package wrote: "near" reaches its start at once, "far" in five minutes."""
+    (tmp_path / "approaching.py").write_text(APPROACHES)
+    (tmp_path / "approaching-1.dist-info").mkdir()
+    (tmp_path / "approaching-1.dist-info" / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: approaching\nVersion: 1\n"
+    )
+    (tmp_path / "approaching-1.dist-info" / "entry_points.txt").write_text("[dual_ur10.tasks]\ncells = approaching\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(ids, "_loaded", set())
+    kinds = dict(CELL_KINDS)
+    path = tmp_path / "log"
+    path.touch()
+    yield lambda: path.read_text().split()
+    sys.modules.pop("approaching", None)
+    CELL_KINDS.clear()
+    CELL_KINDS.update(kinds)
 
 
 def test_arms_hold_and_approach_what_is_commanded():
@@ -88,6 +162,36 @@ def test_what_ends_the_motion_is_raised_by_the_next_call():
     arms.stop()
     with pytest.raises(UnknownNameError):
         LiveArms("Nothing")
+
+
+def no_terminal(question):
+    raise StartError("there is no terminal")
+
+
+def interrupted(question):
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize(
+    ("answer", "error"),
+    [(lambda question: False, StartError), (no_terminal, StartError), (interrupted, KeyboardInterrupt)],
+)
+def test_a_start_that_was_refused_is_none(answer, error, log, monkeypatch):
+    monkeypatch.setattr(live_arms, "ask_at_terminal", answer)
+    arms = LiveArms(cell="near")
+    for _ in range(2):  # the second one asks again
+        with pytest.raises(error):
+            arms.start()
+        assert not arms.started
+        with pytest.raises((ClosedError, StartError)):
+            arms.observation()
+    assert log() == ["closes", "closes"]
+    monkeypatch.setattr(live_arms, "ask_at_terminal", lambda question: True)
+    arms.start()
+    assert arms.started
+    arms.stop()
+    assert not arms.started
+    assert log()[2:] == ["moves", "arrives", "closes"]
 
 
 def test_targets_of_a_dataset_lead_to_the_same_targets(made):

@@ -110,7 +110,10 @@ class UnknownKeywordError(UnknownNameError, TypeError):
 
 
 class ActionError(DualUR10Error, ValueError):
-    """Raised when an action has the wrong shape or type, or holds NaN or infinity. Nothing has moved then."""
+    """Raised when an action has the wrong shape or type, holds NaN or infinity, or would move an arm that is held.
+
+    Nothing has moved then.
+    """
 
 
 class WorkspaceError(SettingsError):

@@ -56,7 +56,7 @@ def make_follower(
     Args:
         cell: "mujoco", "echo", a `CellConfig`, the path of a cell file, or a `dual_ur10.testing.VirtualCell`.
         limits: Motion limits, as far as the cell allows them; None: the hard ones.
-        arm: "left" or "right": the only arm that moves on two controllers; None: both may.
+        arm: "left" or "right": the only arm that moves. A goal of the other one is rejected. None: both may.
         ticks: Controller ticks per period.
         confirm: Called with a description before the arms of two controllers move to a start; None: real arms need a
             yes at the terminal, emulated ones none.
@@ -100,6 +100,7 @@ def make_follower(
         latency_ticks=latency_ticks,
         dh=[mount.dh for mount in (config.left, config.right)],
         proximity=ProximityScaling(clearance, law.period_s) if config.controllers else None,
+        only=None if arm is None else ARMS.index(arm),
         on_close=None if black_box is None else black_box.close,
     )
     with executor.closed_on_error():

@@ -110,10 +110,10 @@ def follow(
     motion = _Goals(home_of(chosen), to, {name: each for name, each in given.items() if each is not None}, seed)
     if file is not None:
         motion.read(file, partial, retime or duration is not None, duration)
-    with nullcontext() if record is None else _Table(record, motion.goal.trajectory.arms) as table:
+    with nullcontext() if record is None else _Table(record, motion.arms) as table:
         if power:
             power_on(cell)
-        arms = motion.goal.trajectory.arms
+        arms = motion.arms
         with make_follower(chosen, arm=arms[0] if len(arms) < len(ARMS) else None) as executor:
             executor.scaling = scaling
             executor.start(motion.start(cell is not None))
@@ -163,6 +163,12 @@ class _Goals:
         self.goal = self._goal(trajectory)
         self._from_file, self._retime, self._duration_s = True, retime, duration_s
 
+    @property
+    def arms(self) -> tuple[str, ...]:
+        """Arms of all goals."""
+        further = () if self._to is None else self._arms
+        return tuple(each for each in ARMS if each in {*self.goal.trajectory.arms, *further})
+
     def start(self, slowly: bool) -> Array:
         """Return joint positions, (2, 6) rad, to which the arms are brought first; without a file only if `slowly`."""
         start = self._home.copy()
@@ -209,7 +215,7 @@ class _Table(Closing):
 
     Args:
         path: The file.
-        arms: Arms of the goal.
+        arms: Arms of all goals.
 
     Raises:
         TrajectoryError: The file exists, or cannot be written.
@@ -223,17 +229,20 @@ class _Table(Closing):
             raise TrajectoryError(f"{path} exists: choose another name, or remove it") from None
         except OSError as error:
             raise TrajectoryError(f"cannot write {path}: {error}") from error
-        self._writer = csv.writer(self._file, lineterminator="\n")
+        self._writer, self._arms = csv.writer(self._file, lineterminator="\n"), arms
         names = [f"{arm}/{joint}" for arm in arms for joint in JOINTS]
         columns = [f"{name}.{kind}_rad" for kind in ("desired", "actual") for name in names]
         flanges = [f"{arm}/flange.error_m" for arm in arms]
         self._writer.writerow(["time_s", "path_s", "scaling", *columns, *flanges])
 
-    def add(self, feedback: Feedback) -> None:
-        """Write a row."""
-        values = [feedback.desired_q_rad.ravel(), feedback.actual_q_rad.ravel(), feedback.flange_error_m]
+    def add(self, feedback: Feedback, arms: tuple[str, ...]) -> None:
+        """Write a row of a goal of some arms; the columns of the other stay empty."""
         times = [feedback.time_s, feedback.path_s, feedback.scaling]
-        self._writer.writerow([f"{each:.9g}" for each in [*times, *np.concatenate(values).tolist()]])
+        values: list[float | None] = []
+        for each in (feedback.desired_q_rad, feedback.actual_q_rad, feedback.flange_error_m[:, None]):
+            for arm in self._arms:
+                values += each[arms.index(arm)].tolist() if arm in arms else [None] * each.shape[1]
+        self._writer.writerow(["" if each is None else f"{each:.9g}" for each in [*times, *values]])
 
     def close(self) -> None:
         """Close the file. May be called twice."""
@@ -255,7 +264,7 @@ def _reach(executor: TrajectoryExecutor, goal: TrajectoryGoal, table: _Table | N
     def seen(feedback: Feedback) -> None:
         shown(feedback)
         if table is not None:
-            table.add(feedback)
+            table.add(feedback, trajectory.arms)
 
     try:
         result = handle.wait(seen)

@@ -6,6 +6,7 @@ import re
 import numpy as np
 import pytest
 
+from dual_ur10 import follower
 from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.cli import follow
 from dual_ur10.sim2real.serial_arm.firmware import SerialFirmware
@@ -15,7 +16,7 @@ from tests.busy_machine import BusyMachine
 from tests.cli.command import run
 from tests.sim2real.serial_rig import serial_port, trajectory
 from tests.sim2real.trajectory.following import wave
-from ur_core.kinematics.ur10 import JOINTS
+from ur_core.kinematics.ur10 import ARMS, JOINTS
 
 
 @pytest.fixture
@@ -108,6 +109,21 @@ def test_one_arm_alone_moves(tmp_path):
     code, text = run("follow", str(path))
     assert code == 0
     assert [line.split("│")[1].strip() for line in text.splitlines() if line.startswith("│")] == ["right"]
+
+
+def test_both_arms_are_asked_for_where_the_file_and_the_end_name_one_each(tmp_path, monkeypatch):
+    path = write_trajectory(tmp_path / "one.csv", wave(1.0, arms=("right",)))
+    asked, make = [], follower.make_follower
+    monkeypatch.setattr(follower, "make_follower", lambda cell, arm: asked.append(arm) or make(cell, arm=arm))
+    table = tmp_path / "table.csv"
+    there = ",".join(f"{each:.3f}" for each in HOME_Q_RAD[0] + 0.05)
+    code, text = run("follow", str(path), "--to", f"left:{there}", "--record", str(table))
+    assert code == 0, text
+    assert asked == [None]
+    rows = list(csv.DictReader(table.read_text().splitlines()))
+    assert {bool(row["left/elbow_joint.actual_rad"]) for row in rows} == {True, False}
+    for arm in ARMS:
+        assert all(bool(row[f"{arm}/flange.error_m"]) == bool(row[f"{arm}/elbow_joint.actual_rad"]) for row in rows)
 
 
 def test_a_dry_run_has_no_errors(file):

@@ -185,5 +185,18 @@ def test_one_arm_alone_moves():
     with VirtualCell(plant="nominal") as cell, make_follower(cell, arm="right") as executor:
         executor.start(HOME_Q_RAD)
         assert executor.execute(wave(1.0, arms=("right",), amplitude=0.1)).wait().succeeded
+        for arms in (("left",), ("left", "right")):
+            result = executor.execute(wave(1.0, arms=arms, amplitude=0.1)).wait()
+            assert (result.code, "the left arm is held" in result.text) == (ResultCode.INVALID_JOINTS, True)
+        left = np.array([numbers[:6] for _, _, numbers in cell.packages("left")])
+        assert np.ptp(left[-50:], axis=0).max() < 1e-9
+
+
+def test_a_cell_of_one_arm_takes_no_target_that_moves_the_other():
+    with VirtualCell(plant="nominal") as cell, make_follower(cell, arm="right") as executor:
+        executor.start(HOME_Q_RAD)
+        executor._only = None  # as if nothing above the cell had refused it
+        result = executor.execute(wave(1.0, arms=("left",), amplitude=0.1)).wait()
+        assert "the left arm is held, and a target would move it" in result.text
         left = np.array([numbers[:6] for _, _, numbers in cell.packages("left")])
         assert np.ptp(left[-50:], axis=0).max() < 1e-9

@@ -17,7 +17,7 @@ from typing import Any, Final, NoReturn
 
 import numpy as np
 
-from dual_ur10.errors import ClosedError, DualUR10Error, LinkError, SettingsError, StartError
+from dual_ur10.errors import ActionError, ClosedError, DualUR10Error, LinkError, SettingsError, StartError
 from dual_ur10.sim2real.cameras.camera_record import CameraRecord
 from dual_ur10.sim2real.cameras.camera_set import CameraSet
 from dual_ur10.sim2real.cell.cell import CellRequest, CellState, CellStep, Start
@@ -58,6 +58,7 @@ ones. Nothing is known of real arms.
 """
 
 _COUPLED_LEVER_M: Final = 1.0
+_HELD_RAD: Final = 1e-9  # of rounding
 _TRIES: Final = 3  # of a connection, and of an approach, while this machine stalls
 
 
@@ -125,6 +126,7 @@ class RtdeCell:
         )
         self._limits, self._clearance, self._confirm = limits, clearance, confirm
         self._only = None if only is None else ARMS.index(only)
+        self._held_q_rad: Array = np.full(6, np.nan)
         self._mirror = MirrorModel(config.scene)
         self._origin: int | None = None  # number of the target of tick 0 of the episode
         self._elapsed = 0
@@ -248,6 +250,8 @@ class RtdeCell:
         statuses = self._path.arrived(runner, goal)
         self._begin.place_props(start)
         self._mirror.start(start)
+        if self._only is not None:
+            self._held_q_rad = goal[1 - self._only]
         self._origin, self._elapsed, self._paused = None, 0, False
         self._garbage.prepare_episode()
         return CellStep(self._state(statuses), None if self._only is None else goal[None])
@@ -256,11 +260,19 @@ class RtdeCell:
         """Send the targets of [now + L, now + L + period), and return the state at now + period, in real time.
 
         Raises:
+            ActionError: A target would move the arm that is held.
             CellFaulted: Both arms have a latched stop, as where a gripper, object tracker or observed camera was
                 lost.
         """
         runner = self._open
         runner.check()
+        if self._only is not None and not np.allclose(
+            command.targets_rad[0, :, 1 - self._only], self._held_q_rad, rtol=0.0, atol=_HELD_RAD
+        ):
+            raise ActionError(
+                f"the {ARMS[1 - self._only]} arm is held, and a target would move it: command the {ARMS[self._only]} "
+                "arm alone, or make the environment of both"
+            )
         if self._origin is None:
             self._origin = runner.next
         first = self._origin + self._elapsed + self.latency_ticks

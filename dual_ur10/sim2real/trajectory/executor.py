@@ -36,7 +36,7 @@ from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, Resu
 from dual_ur10.sim2real.trajectory.path_check import PathCheck, TargetLaw
 from dual_ur10.sim2real.trajectory.smooth_path import ROUNDING_S, SmoothPath
 from ur_core.kinematics.forward import flange_pose
-from ur_core.kinematics.ur10 import DHParameters
+from ur_core.kinematics.ur10 import ARMS, DHParameters
 from ur_core.processes.interrupts import interrupts_deferred
 from ur_core.types import Array, Closing
 
@@ -67,6 +67,7 @@ class TrajectoryExecutor(Closing):
         latency_ticks: Ticks from a command to its effect.
         dh: Kinematics of both arms, for the flange errors.
         proximity: Slows the cell down near things; None: nothing does.
+        only: Index of the only arm that moves; None: both may.
         on_close: Called after the cell was closed, such as to end a record of it.
     """
 
@@ -80,11 +81,12 @@ class TrajectoryExecutor(Closing):
         latency_ticks: int = 0,
         dh: Sequence[DHParameters],
         proximity: ProximityScaling | None = None,
+        only: int | None = None,
         on_close: Callable[[], None] | None = None,
     ) -> None:
         self.cell, self.gate, self.law = cell, gate, law
         self.stepper = CourseStepper(cell, gate, law, latency_ticks, proximity)
-        self._clearance, self._dh, self._on_close = clearance, tuple(dh), on_close
+        self._clearance, self._dh, self._only, self._on_close = clearance, tuple(dh), only, on_close
         self._scaling = 1.0
         self._closed = False
         self._finished = True
@@ -177,6 +179,9 @@ class TrajectoryExecutor(Closing):
             return self._reject(handle, self.stepper.why_not)
         if text := too_long(goal.trajectory.duration_s):
             return self._reject(handle, text)
+        if self._only is not None and (others := {*goal.rows} - {self._only}):
+            text = f"the {ARMS[others.pop()]} arm is held: leave it out of the goal, or make the executor of both arms"
+            return self._reject(handle, text, ResultCode.INVALID_JOINTS)
         if goal.start_s is not None and goal.start_s < self.time_s - 1e-9:
             text = f"the goal starts at {goal.start_s:g} s, and now is {self.time_s:g} s: choose a later start, or none"
             return self._reject(handle, text, ResultCode.OLD_HEADER_TIMESTAMP)

@@ -29,7 +29,8 @@ class LiveArms:
 
     A process of its own steps the environment at its rate, through adapter and gate. Whatever the program does
     meanwhile, no deadline is missed; when it commands nothing, the arms hold their position, and jumps are led within
-    the limits of motion. What ends the motion is raised by the next call. If the program ends, the arms stop.
+    the limits of motion. What ends the motion is raised by the next call. If the program ends, the arms stop, also on
+    their path to the start.
 
     Args:
         env: Id of the environment, or its short form. Its episode must not end by itself: "Free".

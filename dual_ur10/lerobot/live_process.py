@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import pickle
+import queue
+import signal
+import threading
 import time
 from collections.abc import Mapping, Sequence
 from multiprocessing.connection import Connection
@@ -19,6 +22,7 @@ from dual_ur10.errors import ClosedError
 from dual_ur10.lerobot.positions import Positions
 from dual_ur10.policies.learned.signature import view_of_env
 from ur_core.processes.shared_memory import SharedBlock
+from ur_core.processes.system import LOCAL
 from ur_core.types import Array, Single
 
 Shapes = Mapping[str, tuple[int, ...]]
@@ -89,6 +93,39 @@ class Exchange:
         self._block.close()
 
 
+class _Program:
+    """The program at the other end of a connection, whose end interrupts the main thread.
+
+    Args:
+        connection: The connection.
+
+    Attributes:
+        ended: Set once the program has ended, or needs the arms no more.
+    """
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+        self._answers: queue.SimpleQueue[bool] = queue.SimpleQueue()
+        self.ended = threading.Event()
+        threading.Thread(target=self._watch, name="program", daemon=True).start()
+
+    def _watch(self) -> None:
+        try:
+            while True:
+                self._answers.put(bool(self._connection.recv()))
+        except (EOFError, OSError):
+            pass
+        finally:
+            self.ended.set()
+            # To that thread, so that its sleep ends, too.
+            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+
+    def confirm(self, text: str) -> bool:
+        """Ask a person, whom only the program can reach."""
+        self._connection.send(("confirm", text))
+        return self._answers.get()
+
+
 def run(
     number: int, name: str, shapes: Shapes, env_id: str, keywords: Mapping[str, Any], cameras: Sequence[str]
 ) -> None:
@@ -102,28 +139,27 @@ def run(
         keywords: Its keywords.
         cameras: Cameras whose images are observed.
     """
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored, if the program runs in the background
     with Connection(number) as connection:
         env: DualArmEnv | None = None
+        program = _Program(connection)
         try:
-            # Real arms ask a person, whom only the program can reach.
-            asked = {} if "confirm" in keywords else {"confirm": lambda text: _ask(connection, text)}
-            env = DualArmEnv(env_id, **{**asked, **keywords})
-            _step(env, Exchange(shapes, name), connection, cameras)
-        except (EOFError, BrokenPipeError):  # the program has ended, or needs the arms no more
+            env = DualArmEnv(env_id, **{"confirm": program.confirm, **keywords})
+            _step(env, Exchange(shapes, name), connection, program, cameras)
+        except (KeyboardInterrupt, BrokenPipeError):  # the program has ended, or needs the arms no more
             pass
         except BaseException as error:
             _report(connection, error)
         finally:
+            with contextlib.suppress(KeyboardInterrupt):
+                LOCAL.ignore_interrupts()  # nothing cuts the stop of both arms short
             if env is not None:
                 env.close()
 
 
-def _ask(connection: Connection, text: str) -> bool:
-    connection.send(("confirm", text))
-    return bool(connection.recv())
-
-
-def _step(env: DualArmEnv, exchange: Exchange, connection: Connection, cameras: Sequence[str]) -> None:
+def _step(
+    env: DualArmEnv, exchange: Exchange, connection: Connection, program: _Program, cameras: Sequence[str]
+) -> None:
     core = env.core
     positions, period_s = Positions(view_of_env(env)), core.timing.period_s
 
@@ -133,12 +169,13 @@ def _step(env: DualArmEnv, exchange: Exchange, connection: Connection, cameras: 
         return state
 
     observation, _ = env.reset(seed=0, options={MOVE_TO_START: True})
+    LOCAL.ignore_interrupts()  # from here on, each step looks for the end
     action: Any = positions.action(positions.state(show(observation)[None])[0])
     if positions.stroke_m is not None:
         action[6::7] = 1.0  # as commanded: measured widths would creep
     connection.send(("ready", None))
     due = time.monotonic()
-    while not connection.poll():  # its only message is its end
+    while not program.ended.is_set():
         if not core.setup.keeps_time:
             due = max(due + period_s, time.monotonic())
             time.sleep(max(0.0, due - time.monotonic()))

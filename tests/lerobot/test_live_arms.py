@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 import threading
 
@@ -192,6 +193,27 @@ def test_a_start_that_was_refused_is_none(answer, error, log, monkeypatch):
     arms.stop()
     assert not arms.started
     assert log()[2:] == ["moves", "arrives", "closes"]
+
+
+def test_ctrl_c_stops_the_path_to_the_start(log, monkeypatch):
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
+    monkeypatch.setattr(live_arms, "ask_at_terminal", lambda question: True)
+    arms = LiveArms(cell="far")
+
+    def interrupt():
+        until(lambda: "moves" in log(), 10_000)
+        signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+
+    thread = threading.Thread(target=interrupt)
+    thread.start()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            arms.start()
+    finally:
+        thread.join()
+        signal.signal(signal.SIGINT, handler)
+    assert log() == ["moves", "stops", "closes"]
+    assert not arms.started
 
 
 def test_targets_of_a_dataset_lead_to_the_same_targets(made):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 from collections.abc import Mapping, Sequence
 from multiprocessing.connection import Connection, Pipe
 from typing import Any, Final
@@ -115,7 +117,7 @@ class LiveArms:
         self._connection, theirs = Pipe()
         with theirs:
             number, shared = theirs.fileno(), self._exchange.name
-            work = (number, shared, layout, self._env_id, dict(self._keywords), self.cameras)
+            work = (number, shared, layout, self._env_id, dict(self._keywords), self.cameras, os.getpid())
             self._process = Child(run, *work, files=[number], name="live-arms")
         while not self._ready:
             message, content = self._next()
@@ -149,6 +151,8 @@ class LiveArms:
         self._process = self._connection = self._exchange = None
         self._ready = False
         if connection is not None:
+            with contextlib.suppress(OSError):  # the process has ended
+                connection.send(None)  # forked workers keep the connection open
             connection.close()
         if process is not None and not process.wait(_END_S):
             process.kill()

@@ -29,6 +29,7 @@ Shapes = Mapping[str, tuple[int, ...]]
 
 _TARGET, _OBSERVED = 0, 1  # versions, which are odd while what they count is written
 _TRIES: Final = 1000
+_POLL_S: Final = 0.05
 
 
 class Exchange:
@@ -97,22 +98,28 @@ class _Program:
     """The program at the other end of a connection, whose end interrupts the main thread.
 
     Args:
-        connection: The connection.
+        connection: The connection, which gets answers, and None once the arms are needed no more.
+        parent: Process id of the program.
 
     Attributes:
         ended: Set once the program has ended, or needs the arms no more.
     """
 
-    def __init__(self, connection: Connection) -> None:
-        self._connection = connection
+    def __init__(self, connection: Connection, parent: int) -> None:
+        self._connection, self._parent = connection, parent
         self._answers: queue.SimpleQueue[bool] = queue.SimpleQueue()
         self.ended = threading.Event()
         threading.Thread(target=self._watch, name="program", daemon=True).start()
 
     def _watch(self) -> None:
         try:
-            while True:
-                self._answers.put(bool(self._connection.recv()))
+            # Forked workers of the program keep the other end open.
+            while not LOCAL.is_orphan(self._parent):
+                if self._connection.poll(_POLL_S):
+                    answer = self._connection.recv()
+                    if answer is None:
+                        break
+                    self._answers.put(bool(answer))
         except (EOFError, OSError):
             pass
         finally:
@@ -127,9 +134,15 @@ class _Program:
 
 
 def run(
-    number: int, name: str, shapes: Shapes, env_id: str, keywords: Mapping[str, Any], cameras: Sequence[str]
+    number: int,
+    name: str,
+    shapes: Shapes,
+    env_id: str,
+    keywords: Mapping[str, Any],
+    cameras: Sequence[str],
+    parent: int,
 ) -> None:
-    """Step an environment until the other end of a connection is closed; both arms then stop on their path.
+    """Step an environment until the program ends, or needs the arms no more; both arms then stop on their path.
 
     Args:
         number: Open file of the connection, which gets ("ready", None), ("confirm", question) or ("error", error).
@@ -138,11 +151,12 @@ def run(
         env_id: Id of the environment.
         keywords: Its keywords.
         cameras: Cameras whose images are observed.
+        parent: Process id of the program.
     """
     signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored, if the program runs in the background
     with Connection(number) as connection:
         env: DualArmEnv | None = None
-        program = _Program(connection)
+        program = _Program(connection, parent)
         try:
             env = DualArmEnv(env_id, **{"confirm": program.confirm, **keywords})
             _step(env, Exchange(shapes, name), connection, program, cameras)

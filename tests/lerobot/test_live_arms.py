@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import subprocess
 import sys
 import threading
 
@@ -214,6 +216,48 @@ def test_ctrl_c_stops_the_path_to_the_start(log, monkeypatch):
         signal.signal(signal.SIGINT, handler)
     assert log() == ["moves", "stops", "closes"]
     assert not arms.started
+
+
+PROGRAM = """
+import os
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+from dual_ur10.lerobot import live_arms
+
+live_arms.ask_at_terminal = lambda question: True
+arms = live_arms.LiveArms(cell=sys.argv[1])
+threading.Thread(target=arms.start, daemon=True).start()
+while sys.argv[2] not in open(sys.argv[3]).read() or not (arms.started or sys.argv[2] == "moves"):
+    time.sleep(0.01)
+if not os.fork():
+    os.read(0, 1)
+    os._exit(0)
+if sys.argv[4] == "stop":
+    arms.stop()
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.parametrize("end", ["kill", "stop"])
+@pytest.mark.parametrize(
+    ("cell", "word", "left"), [("far", "moves", ["stops", "closes"]), ("near", "arrives", ["closes"])]
+)
+def test_arms_stop_though_a_forked_worker_lives_on(cell, word, left, end, log, tmp_path):
+    paths = os.pathsep.join(each or os.getcwd() for each in sys.path)
+    program = subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, cell, word, str(tmp_path / "log"), end],
+        stdin=subprocess.PIPE, env={**os.environ, "PYTHONPATH": paths}, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    with program:
+        assert program.wait() == -signal.SIGKILL
+        assert until(lambda: "closes" in log())
+        assert log()[-len(left) - 1 :] == [word, *left]
+        program.stdin.close()  # ends the worker
 
 
 def test_targets_of_a_dataset_lead_to_the_same_targets(made):

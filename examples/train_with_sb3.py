@@ -89,7 +89,7 @@ LIFT: dict[str, Any] = {
 }
 LIFT_SHORT, LIFT_STEPS = 100, 250_000
 OBJECTS_SHORT = {"SyncCarry": 900}  # of others 500
-OBJECTS_STEPS = {"SyncCarry": 300_000}  # of others 1,500,000
+OBJECTS_STEPS = {"SyncCarry": 600_000}  # of others 1,500,000
 
 
 def keywords_of(task: str) -> dict[str, Any]:

@@ -190,11 +190,15 @@ class TrajectoryExecutor(Closing):
             return self._reject(handle, text, ResultCode.INVALID_JOINTS)
         if self._active is None and self.moves:
             return self._reject(handle, "both arms stop after an aborted goal: wait until they rest")
+        try:
+            path = self._path_of(goal)
+        except TrajectoryError as error:
+            return self._reject(handle, str(error))
         if self._pending is not None:
             self._end_preempted(self._pending.handle, "replaced", "another goal came before this one began")
         if self._active is None:
             self.stepper.in_time = False
-        self._pending = _Pending(handle, PathCheck(self._path_of(goal), self.gate, self.law))
+        self._pending = _Pending(handle, PathCheck(path, self.gate, self.law))
         if self._active is None:
             self._check_pending(None)
         return handle
@@ -330,7 +334,9 @@ class TrajectoryExecutor(Closing):
     # Beginning of a goal.
 
     def _path_of(self, goal: TrajectoryGoal) -> SmoothPath:
-        return SmoothPath.of(Interpolation(goal.trajectory), goal.rows, self.desired_q_rad, is_open=goal.stream)
+        with np.errstate(all="ignore"):  # what is not finite is refused
+            motion = Interpolation(goal.trajectory)
+            return SmoothPath.of(motion, goal.rows, self.desired_q_rad, is_open=goal.stream)
 
     def _check_pending(self, most: int | None) -> None:
         """Check the path of the pending goal, at most some windows of it."""
@@ -378,8 +384,8 @@ class TrajectoryExecutor(Closing):
         """Continue a stream with more points, or end it.
 
         Raises:
-            TrajectoryError: The last point is too far ahead, or the gate would refuse a target on the way. Nothing
-                changes.
+            TrajectoryError: The last point is too far ahead, the path cannot be computed, or the gate would refuse a
+                target on the way. Nothing changes.
         """
         check = self._stream if self._pending is None or handle is not self._pending.handle else self._pending.check
         if check is None:

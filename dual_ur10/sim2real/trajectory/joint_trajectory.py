@@ -88,6 +88,12 @@ class JointTrajectory:
         """Time of the last point."""
         return float(self.time_s[-1])
 
+    def place(self, path_s: float) -> str:
+        """Return between which points a time is, such as "between points 0 and 1"."""
+        after = int(np.searchsorted(self.time_s, path_s, side="right"))
+        last = len(self) - 1
+        return f"between points {after - 1} and {after}" if 0 < after <= last else f"at point {min(after, last)}"
+
 
 def too_long(duration_s: float) -> str:
     """Return why a goal may not last so long; "" if it may."""

@@ -89,13 +89,10 @@ class Refusal(NamedTuple):
 
     def between(self, trajectory: JointTrajectory) -> str:
         """Return the reason with the points between which it is."""
-        after = int(np.searchsorted(trajectory.time_s, self.path_s, side="right"))
-        last = len(trajectory) - 1
-        where = f"between points {after - 1} and {after}" if 0 < after <= last else f"at point {min(after, last)}"
         remedy = "Give the points more time, and speeds and accelerations that fit"
         if self.verdict.kind in ("distance", "joint position"):
             remedy = "Choose another path there"
-        return f"the path is refused {where}, {self}. {remedy}"
+        return f"the path is refused {trajectory.place(self.path_s)}, {self}. {remedy}"
 
 
 def reason_of(verdict: Verdict) -> str:

@@ -11,6 +11,7 @@ from typing import Final
 
 import numpy as np
 
+from dual_ur10.errors import TrajectoryError
 from dual_ur10.sim2real.trajectory.interpolation import ORDER, Interpolation, JointMotion, PPoly, quintic
 from ur_core.types import Array
 
@@ -21,6 +22,7 @@ enough for the targets' jerk, at a distance from the segments below 0.02 mrad pe
 _JUMP_RAD_S: Final = 1e-9
 _JUMP_RAD_S2: Final = 1e-6  # jumps below these do not count
 _SHORTEST_S: Final = 1e-9  # of a piece
+_MOST_COEFFICIENT: Final = 1e100  # the motion of a goal of any duration is finite then
 _FACTORIALS: Final = np.array([math.factorial(ORDER - row) for row in range(ORDER + 1)], dtype=np.float64)
 
 
@@ -60,6 +62,9 @@ class SmoothPath:
             rows: Indices of its arms.
             others_rad: (2, 6) positions of the arms that are not in it.
             is_open: More points will follow, so that it does not end at rest.
+
+        Raises:
+            TrajectoryError: Numbers become too large between two points.
         """
         polynomial, end_s = interpolation.polynomial, interpolation.end_s
         if interpolation.start_s < end_s:
@@ -70,6 +75,13 @@ class SmoothPath:
         both = np.zeros((ORDER + 1, coefficients.shape[1], 2, 6))
         both[ORDER] = others_rad
         both[:, :, rows] = coefficients
+        computable = (np.abs(both) < _MOST_COEFFICIENT).all(axis=(0, 2, 3))
+        if not computable.all():
+            where = interpolation.trajectory.place(float(breaks[:-1][~computable][0]))
+            raise TrajectoryError(
+                f"the path is too steep to compute {where}: correct their times in s, and what they give in rad, rad/s "
+                "and rad/s²"
+            )
         return cls(breaks, both, end_s)
 
     def __call__(self, path_s: Array) -> JointMotion:

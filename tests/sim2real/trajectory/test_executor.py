@@ -5,6 +5,8 @@ import re
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.errors import ClosedError, SettingsError, StartError, TrajectoryError
@@ -383,6 +385,47 @@ def test_a_goal_that_lasts_too_long_is_rejected(time_s, stream):
     assert (result.state, result.code) == (GoalState.REJECTED, ResultCode.INVALID_GOAL)
     assert "is 3601 s ahead, allowed are at most 3600 s in one goal: cut the trajectory into goals" in result.text
     assert running.wait().succeeded
+
+
+@pytest.mark.parametrize("arms_move", [False, True])
+@given(st.data())
+def test_finite_points_of_any_size_raise_nothing(arms_move, data):
+    executor = made()
+    running = executor.execute(wave()) if arms_move else None
+    steps(executor, 10)
+    count, order = data.draw(st.integers(1, 4)), data.draw(st.integers(0, 2))
+    exponents = st.integers(-320, 308)
+    gaps = [10.0 ** min(data.draw(exponents), 3) for _ in range(count)]
+    time_s = np.unique(np.cumsum(gaps))
+    values = np.zeros((3, len(time_s), 2, 6)) + np.stack([HOME_Q_RAD, np.zeros((2, 6)), np.zeros((2, 6))])[:, None]
+    for _ in range(data.draw(st.integers(1, 3))):
+        place = tuple(data.draw(st.integers(0, size - 1)) for size in (order + 1, *values.shape[1:]))
+        values[place] = data.draw(st.sampled_from([-1.0, 1.0])) * 10.0 ** data.draw(st.integers(2, 308))
+    points = JointTrajectory(("left", "right"), time_s, *values[: order + 1])
+    handle = executor.execute(TrajectoryGoal(points, stream=True))
+    steps(executor, 20)
+    assert handle.state != GoalState.SUCCEEDED
+    assert running is None or handle.state != GoalState.REJECTED or running.state == GoalState.ACTIVE
+    check_sent(executor)
+
+
+@pytest.mark.parametrize(
+    ("time_s", "speed", "where"),
+    [
+        ([0.0, 1.0, 2.0], 1e308, "between points 0 and 1"),
+        ([0.0, 1e-310, 1.0], 0.0, "between points 0 and 1"),
+    ],
+)
+def test_points_that_cannot_be_computed_are_named(time_s, speed, where):
+    executor = made()
+    q = HOME_Q_RAD + np.array([0.0, 0.0, 0.1])[:, None, None]
+    points = JointTrajectory(("left", "right"), time_s, q, np.array([0.0, speed, 0.0])[:, None, None] * np.ones((2, 6)))
+    text = executor.execute(points).result.text
+    assert text.startswith(f"the path is too steep to compute {where}: correct their times")
+    stream = executor.execute(TrajectoryGoal(part(wave(), 0, 3), stream=True))
+    with pytest.raises(TrajectoryError, match="the path is too steep to compute between points 2 and 3"):
+        stream.append(part(dataclasses.replace(wave(), q_rad=np.full((9, 2, 6), 1e200)), 3, 4))
+    assert stream.state == GoalState.PENDING
 
 
 def test_the_targets_of_a_long_path_are_not_computed_at_once(monkeypatch):

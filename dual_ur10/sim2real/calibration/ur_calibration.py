@@ -13,8 +13,9 @@ from typing import Any, Final
 import numpy as np
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
-from dual_ur10.errors import CalibrationError, MissingExtraError, SettingsError
+from dual_ur10.errors import CalibrationError, SettingsError
 from dual_ur10.sim2real.calibration.transforms import flange, rotation_of, transform
+from dual_ur10.yaml_documents import documents
 from ur_core.files import read_named
 from ur_core.kinematics.ur10 import DHParameters
 from ur_core.types import Array
@@ -59,19 +60,17 @@ def read(path: str | Path, robot: str) -> DHParameters:
         CalibrationError: The file cannot be read, or holds no such kinematics.
         SettingsError: The kinematics are those of another robot.
     """
-    try:
-        import yaml
-    except ImportError:
-        raise MissingExtraError("PyYAML", "calibration", "a calibration in YAML") from None
     path = Path(path)
     content = read_named(path, _MAX_BYTES, CalibrationError, remedy="Correct the name")
     if len(content) > _MAX_BYTES:
         raise CalibrationError(f"{path} is longer than {_MAX_BYTES} bytes: name the file of a calibration")
     try:
-        values = yaml.safe_load(content)
-    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        found = documents(content, "calibration", "a calibration in YAML")
+    except (RecursionError, ValueError) as error:
         raise CalibrationError(f"{path} is no YAML: {' '.join(str(error).split())[:200]}") from None
-    return of_frames(_frames(values, str(path)), robot)
+    if len(found) > 1:
+        raise CalibrationError(f"{path} has {len(found)} documents: it must be that of one arm")
+    return of_frames(_frames(found[0] if found else None, str(path)), robot)
 
 
 def _frames(values: Any, source: str) -> list[Array]:

@@ -19,8 +19,9 @@ from typing import Annotated, Any, Final, Literal, get_args
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from dual_ur10.errors import MissingExtraError, TrajectoryError, UnknownNameError
+from dual_ur10.errors import TrajectoryError, UnknownNameError
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, ResultCode, too_long
+from dual_ur10.yaml_documents import documents
 from ur_core.files import check_target, read_named
 from ur_core.findings import path_of
 from ur_core.kinematics.ur10 import ARMS, JOINTS
@@ -165,22 +166,11 @@ def write_trajectory(path: str | Path, trajectory: JointTrajectory) -> Path:
 # Messages.
 
 
-def _documents(text: str) -> list[object]:
-    try:
-        import yaml
-    except ImportError:
-        raise MissingExtraError("PyYAML", "real", "a trajectory in YAML") from None
-    try:
-        return list(yaml.safe_load_all(text))
-    except yaml.YAMLError as error:
-        raise ValueError(error) from None
-
-
 def _loaded(text: str, kind: Format) -> object:
     try:
         if kind == "json":
             return json.loads(text)
-        found = [each for each in _documents(text) if each is not None]
+        found = [each for each in documents(text, "real", "a trajectory in YAML") if each is not None]
     except (ValueError, RecursionError) as error:
         reason = " ".join(str(error).split())
         if "set_int_max_str_digits" in reason:  # Python's own remedy is none here

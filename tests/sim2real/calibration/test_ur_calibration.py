@@ -80,6 +80,9 @@ def test_other_chains_are_refused(tmp_path, name, six, error, text):
         ("kinematics: {" + ", ".join(f"{name}: {{x: one}}" for name in FRAMES) + "}", "shoulder x"),
         ("kinematics: {" + ", ".join(f"{name}: {{x: .nan}}" for name in FRAMES) + "}", "shoulder x"),
         ("a: !!python/object/apply:os.getcwd []", "no YAML"),
+        ("a: !!bool foo", "has the tag"),
+        ("a: &a {b: 1}\nc: {<<: [*a, *a]}", "has the anchor 'a'"),
+        ("a: 1\n---\na: 2", "has 2 documents"),
     ],
 )
 def test_bad_files_are_refused(tmp_path, text, words):

@@ -107,7 +107,11 @@ def test_a_message_of_ros_is_read_whatever_the_order_of_its_joints():
         ("  frame_id: world", "  frame: world", -1, "header.frame is unknown: remove it, or did you mean frame_id?"),
         ("---", "---\n{}", -1, "there are 2 documents"),
         ("header:", "header: [", -1, "this is no YAML"),
-        ("header:", "&a [*a]\n---\n", -1, "this is no YAML"),
+        ("header:", "&a [*a]\n---\n", -1, "has the anchor 'a': write the values out"),
+        ("header:", "*a", -1, "has the anchor 'a'"),
+        ("frame_id: world", "frame_id: !!bool foo", -1, "has the tag"),
+        ("frame_id: world", "frame_id: !!int ''", -1, "has the tag"),
+        ("frame_id: world", "frame_id: !!timestamp x", -1, "has the tag"),
         ("frame_id: world", "frame_id: !!python/object:os.system {}", -1, "this is no YAML"),
     ],
 )

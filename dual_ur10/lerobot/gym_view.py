@@ -17,7 +17,12 @@ from dual_ur10.lerobot.positions import Positions
 from dual_ur10.policies.learned.lerobot_files import IMAGES, image_key, image_keys
 from dual_ur10.policies.learned.signature import view_of_env
 
-_INSTEAD: Final = {"max_episode_steps": "give episode_length instead", "disable_env_checker": "leave it out"}
+_INSTEAD: Final = {
+    "max_episode_steps": "give episode_length instead",
+    "disable_env_checker": "leave it out",
+    "action_mode": "leave it out, actions are joint positions",
+    "observation": "leave it out, and give cameras for images",
+}
 STATE, ENVIRONMENT, PIXELS = "agent_pos", "environment_state", "pixels"
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.envs.core.setup import EnvSetup
-from dual_ur10.errors import ClosedError, LinkError
+from dual_ur10.errors import ClosedError, LinkError, SettingsError
 from dual_ur10.ids import env_id_of
 from dual_ur10.lerobot.live_process import Exchange, run
 from dual_ur10.lerobot.positions import Positions
@@ -24,6 +24,13 @@ from ur_core.processes.child_process import Child
 from ur_core.types import Array, Single
 
 _END_S: Final = 30.0  # for both arms to stop, and processes to end
+
+_INSTEAD: Final = {
+    "action_mode": "leave it out, actions are joint positions",
+    "observation": "leave it out, and give cameras for images",
+    "height": "give size instead",
+    "width": "give size instead",
+}
 
 
 class LiveArms:
@@ -46,6 +53,7 @@ class LiveArms:
         size: As given.
 
     Raises:
+        SettingsError: A keyword is one that this sets itself.
         DualUR10Error: A name or a value is not legal.
     """
 
@@ -57,6 +65,9 @@ class LiveArms:
         size: tuple[int, int] = (480, 640),
         **keywords: Any,
     ) -> None:
+        for name, instead in _INSTEAD.items():
+            if name in keywords:
+                raise SettingsError(f"{name} is set by {type(self).__name__} itself: {instead}")
         self._env_id = env_id_of(env)
         shown = {"observation": "both", "cameras": tuple(cameras), "height": size[0], "width": size[1]}
         self._keywords: Mapping[str, Any] = {

@@ -294,8 +294,19 @@ def test_the_view_is_an_environment_of_gymnasium():
 
 @pytest.mark.parametrize(
     ("keyword", "words"),
-    [("max_episode_steps", "give episode_length instead"), ("disable_env_checker", "leave it out")],
+    [
+        ("max_episode_steps", "give episode_length instead"),
+        ("disable_env_checker", "leave it out"),
+        ("action_mode", "leave it out, actions are joint positions"),
+        ("observation", "leave it out, and give cameras for images"),
+    ],
 )
 def test_keywords_that_the_view_sets_are_refused_by_name(keyword, words):
     with pytest.raises(SettingsError, match=f"{keyword} is set by LeRobotView itself: {words}"):
         LeRobotView("Handover", **{keyword: 3})
+
+
+@pytest.mark.parametrize("keyword", ["action_mode", "observation", "height", "width"])
+def test_keywords_that_live_arms_set_are_refused_by_name(keyword):
+    with pytest.raises(SettingsError, match=f"{keyword} is set by LiveArms itself"):
+        LiveArms(**{keyword: 3})

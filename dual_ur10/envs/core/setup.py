@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shlex
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final, cast
@@ -207,7 +208,7 @@ class EnvSetup:
         default = type(theirs)()
         own = {name: value for name in names if (value := getattr(self.settings, name)) != getattr(default, name)}
         try:
-            options = "".join(f" --set '{name}={json.dumps(value)}'" for name, value in own.items())
+            options = "".join(f" --set {shlex.quote(f'{name}={json.dumps(value)}')}" for name, value in own.items())
             start = f"start the cell with `emulate --task {self.env_id}{options}`, in Python with settings={{...}}"
         except TypeError:
             start = 'start the cell with such settings, in which "module:NAME" stands for what no JSON holds'

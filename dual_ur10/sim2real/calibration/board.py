@@ -186,6 +186,33 @@ def _check_plane(cv2: Any, cv_board: Any, board: Board, marker_corners: Any, ids
         )
 
 
+def calibration_of(objects: Sequence[Array], points: Sequence[Array], shape: tuple[int, ...]) -> tuple[Any, ...]:
+    """Return OpenCV's calibration of a camera with two radial and two tangential coefficients.
+
+    Args:
+        objects: Points on the board (n, 3) in m, of each image.
+        points: The same in each image (n, 2), in pixels.
+        shape: Height and width of the images.
+
+    Returns:
+        Error (RMS, pixels), camera matrix, distortion, and rotation vector and position (m) of the board of each image.
+
+    Raises:
+        CalibrationError: The points decide no camera.
+        MissingExtraError: OpenCV is not installed.
+    """
+    cv2 = opencv()
+    both = ([each.astype(np.float32) for each in some] for some in (objects, points))
+    try:
+        found: tuple[Any, ...] = cv2.calibrateCamera(*both, shape[::-1], None, None, flags=cv2.CALIB_FIX_K3)
+    except cv2.error as error:
+        raise CalibrationError(
+            f"the images do not calibrate a camera ({' '.join(str(error).split())[:200]}): take them again, with more "
+            "than one row of the board's corners in each"
+        ) from error
+    return found
+
+
 def calibrated_camera(images: Sequence[Path], board: Board) -> Intrinsics:
     """Calibrate a camera from its images of the board, with two radial and two tangential coefficients.
 
@@ -193,7 +220,6 @@ def calibrated_camera(images: Sequence[Path], board: Board) -> Intrinsics:
         CalibrationError: There are too few images, they differ in size, or they do not fit one camera.
         MissingExtraError: OpenCV is not installed.
     """
-    cv2 = opencv()
     if len(images) < _LEAST_IMAGES:
         raise CalibrationError(
             f"{len(images)} images of a camera without intrinsics: {_LEAST_IMAGES} are needed to calibrate it. Take "
@@ -202,11 +228,9 @@ def calibrated_camera(images: Sequence[Path], board: Board) -> Intrinsics:
     grey = [read_image(path) for path in images]
     if len({each.shape for each in grey}) > 1:
         raise CalibrationError("the images of one camera differ in size: they are not of one camera. Take them again")
-    pairs = [corners(image, board, path.name) for image, path in zip(grey, images, strict=True)]
-    objects = [each.astype(np.float32) for each, _ in pairs]
-    points = [each.astype(np.float32) for _, each in pairs]
-    size = grey[0].shape[::-1]
-    rms, matrix, distortion, _, _ = cv2.calibrateCamera(objects, points, size, None, None, flags=cv2.CALIB_FIX_K3)
+    found = [corners(image, board, path.name) for image, path in zip(grey, images, strict=True)]
+    objects, points = zip(*found, strict=True)
+    rms, matrix, distortion, _, _ = calibration_of(objects, points, grey[0].shape)
     if not rms < _MOST_PIXELS:
         raise CalibrationError(
             f"the images do not fit one camera ({rms:.2g} pixels RMS, allowed {_MOST_PIXELS:g}): check `board`, keep "

@@ -12,13 +12,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dual_ur10.errors import CalibrationError
-from dual_ur10.sim2real.calibration.board import Intrinsics, opencv
+from dual_ur10.sim2real.calibration.board import Intrinsics, calibration_of, opencv
 from dual_ur10.sim2real.calibration.intervals import PoseInterval, scipy_module
 from dual_ur10.sim2real.calibration.transforms import (
     base_in_cell,
@@ -176,15 +176,9 @@ def estimate_camera(views: Sequence[CornerView], size: tuple[int, int]) -> Camer
 
 def _calibrated(views: Sequence[CornerView], size: tuple[int, int]) -> tuple[Array, Array]:
     """Return intrinsics, (4 + 4,), and the poses of the board in the camera's frame, (k, 4, 4), of the images alone."""
-    cv2: Any = opencv()
-    objects = [each.on_board_m.astype(np.float32) for each in views]
-    points = [each.in_image_px.astype(np.float32) for each in views]
-    try:
-        _, matrix, distortion, rotations, positions = cv2.calibrateCamera(
-            objects, points, size[::-1], None, None, flags=cv2.CALIB_FIX_K3
-        )
-    except cv2.error as error:
-        raise CalibrationError(f"the images do not calibrate a camera: {str(error)[:200]}. Take others") from error
+    _, matrix, distortion, rotations, positions = calibration_of(
+        [each.on_board_m for each in views], [each.in_image_px for each in views], size
+    )
     numbers = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *np.ravel(distortion)[:_DISTORTION]]
     boards = [
         transform(np.ravel(position), rotation_of(np.ravel(rotation)))

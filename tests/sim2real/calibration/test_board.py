@@ -17,10 +17,11 @@ CAMERA = Intrinsics((900.0, 900.0, 640.0, 480.0))
 _PX = 60
 
 
-def rendered(path, pose, camera=CAMERA):
-    """Write the image of the board at a pose; pixel coordinates are those of OpenCV."""
+def rendered(path, pose, camera=CAMERA, rows=BOARD.squares_y):
+    """Write the image of some rows of the board at a pose; pixel coordinates are those of OpenCV."""
     board, _ = BOARD.detector()
     flat = board.generateImage((BOARD.squares_x * _PX, BOARD.squares_y * _PX), marginSize=0)
+    flat[rows * _PX :] = 128
     scale = BOARD.square_m / _PX
     metres = np.array([[scale, 0.0, scale / 2], [0.0, scale, scale / 2], [0.0, 0.0, 1.0]])  # of a pixel's centre
     homography = camera.matrix @ np.stack([pose[:3, 0], pose[:3, 1], pose[:3, 3]], axis=1) @ metres
@@ -50,6 +51,13 @@ def test_a_camera_is_calibrated_from_its_images(images):
     np.testing.assert_allclose(camera.matrix_px, CAMERA.matrix_px, atol=8.0)
     with pytest.raises(CalibrationError, match="2 images of a camera without intrinsics: 5 are needed"):
         calibrated_camera(list(images)[:2], BOARD)
+
+
+def test_one_row_of_corners_calibrates_no_camera(images, tmp_path):
+    for path, pose in images.items():
+        rendered(tmp_path / path.name, pose, rows=2)
+    with pytest.raises(CalibrationError, match="with more than one row of the board's corners in each"):
+        calibrated_camera(sorted(tmp_path.iterdir()), BOARD)
 
 
 @pytest.mark.parametrize(

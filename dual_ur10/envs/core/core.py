@@ -436,7 +436,8 @@ class Core:
         info = self._measurements(state)
         if self._coupling is not None and coupled is not None:
             info.update(self._coupling.values(state.q_rad, period.target_q_rad, coupled))
-        info.update(outcome.info)
+        # A task may change its own arrays in place at the next reset.
+        info.update({name: np.array(value) for name, value in outcome.info.items()})
         info["is_success"] = success
         info["led"] = self.pipeline.led
         info.update(zip(self._terms, terms.T, strict=True))

@@ -97,6 +97,24 @@ def test_autoreset_same_step():
     assert not env.step(zero)[3].any()
 
 
+@pytest.mark.parametrize(("task", "name"), [("BoxLift", "height_m"), ("LidAndPlace", "lid_rad")])
+def test_the_info_of_a_step_outlives_the_next_reset(task, name):
+    same, none = (
+        gym.make_vec(f"DualUR10/{task}-v0", num_envs=2, max_episode_steps=3, autoreset_mode=mode)
+        for mode in ("SameStep", "Disabled")
+    )
+    for env in (same, none):
+        env.reset(seed=0)
+    zero = np.zeros(same.action_space.shape, dtype=np.float32)
+    for _ in range(3):
+        ended, last = same.step(zero)[4], none.step(zero)[4]
+    before = last[name].copy()
+    assert before.all()  # 0 is the value of a begin
+    assert np.array_equal(ended["final_info"][name], before)
+    none.reset()
+    assert np.array_equal(last[name], before)
+
+
 def test_autoreset_disabled_needs_a_reset_by_mask():
     env = vector(3, duration_s=0.2, autoreset_mode=AutoresetMode.DISABLED)
     env.reset(seed=0)

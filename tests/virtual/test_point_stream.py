@@ -513,6 +513,7 @@ def _into_the_table(home):
         (TrajectoryError, "distance", {"path": lambda points, home: points.thin(_into_the_table(home))}),
         (TrajectoryError, "every", {"path": lambda points, home: PointPath.of_targets(swing(home), TICK_S, 0.1)}),
         (StartError, "not confirmed", {"confirm": lambda question: False}),
+        (StartError, "not confirmed", {"confirm": lambda question: "no"}),  # as of `confirm=input`
     ],
 )
 def test_what_cannot_be_followed_is_refused_and_moves_nothing(cell, error, words, options):

@@ -176,9 +176,10 @@ def test_points_that_follow_would_refuse_are_warned_of_and_refused(tmp_path, cap
         assert 0 < refused <= count
 
 
-def test_nobody_confirms(cell, tmp_path):
+@pytest.mark.parametrize("answer", [False, None, "no"])  # the last as of `confirm=input`
+def test_nobody_confirms(cell, answer):
     asked = []
-    guiding = HandGuiding(cell.file, confirm=lambda text: asked.append(text) or False, system=cell.system)
+    guiding = HandGuiding(cell.file, confirm=lambda text: asked.append(text) or answer, system=cell.system)
     with guiding, pytest.raises(StartError, match="not confirmed"):
         guiding.run(lambda guided: False)
     assert "left 0.00 kg at (0, 0, 0) mm" in asked[0]

@@ -164,7 +164,7 @@ class PointStream(ProgrammedArms):
                 f"{allowed}: bring the arms to its first point, as `follow --to FILE --cell CELL` does, or begin where "
                 "they are"
             )
-        if not self._confirm(f"Both arms follow a path of {path.duration_s:.1f} s from where they are."):
+        if self._confirm(f"Both arms follow a path of {path.duration_s:.1f} s from where they are.") is not True:
             raise StartError("the motion was not confirmed: nothing has moved")
         motion = StreamMotion(
             self._arms, path, self.profile, self._clock, feedback, emulated=self._file.kind == "emulated"

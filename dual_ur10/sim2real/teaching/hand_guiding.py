@@ -183,7 +183,7 @@ class HandGuiding(ProgrammedArms):
         """
         self._claim.latch.check()
         self._measured()
-        if not self._confirm(self._question()):
+        if self._confirm(self._question()) is not True:
             raise StartError("freedrive was not confirmed: no arm was free")
         self._measured()  # the answer may have taken minutes
         self._claim.note_moving()

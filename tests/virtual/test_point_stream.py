@@ -529,6 +529,17 @@ def test_a_slider_below_100_percent_is_refused(cell):
     points.close()
 
 
+def test_arms_that_are_not_ready_any_more_after_the_answer_do_not_begin(cell):
+    def slow_down(question):
+        cell.ask("override", arm="left", target_speed_fraction=0.9)
+        return True
+
+    points = stream(cell, confirm=slow_down)
+    with points, pytest.raises(StartError, match="scaled to 90 %"):
+        points.run(points.thin(swing(points.measured())))
+    assert Latch(cell.file, cell.system).read() is None
+
+
 def test_direct_targets_are_not_its_business(cell):
     with pytest.raises(StartError, match="runner"):
         stream(cell, 125.0)

@@ -154,18 +154,10 @@ class PointStream(ProgrammedArms):
         """
         self._claim.latch.check()
         self.check(path)
-        here = self.measured()
-        off = np.abs(here - path.q_rad[0])
-        if off.max() > _NEAR_RAD:
-            arm, joint = np.unravel_index(off.argmax(), off.shape)
-            found, allowed = distinguishable(float(off.max()), _NEAR_RAD)
-            raise TrajectoryError(
-                f"the path begins {found} rad from where joint {joint} of the {ARMS[arm]} arm is, allowed are "
-                f"{allowed}: bring the arms to its first point, as `follow --to FILE --cell CELL` does, or begin where "
-                "they are"
-            )
+        self._check_start(path)
         if self._confirm(f"Both arms follow a path of {path.duration_s:.1f} s from where they are.") is not True:
             raise StartError("the motion was not confirmed: nothing has moved")
+        self._check_start(path)  # the answer may have taken minutes
         motion = StreamMotion(
             self._arms, path, self.profile, self._clock, feedback, emulated=self._file.kind == "emulated"
         )
@@ -186,6 +178,24 @@ class PointStream(ProgrammedArms):
             if not isinstance(error, DualUR10Error):
                 raise
             raise faulted from error
+
+    def _check_start(self, path: PointPath) -> None:
+        """Check that both arms are ready where a path begins.
+
+        Raises:
+            TrajectoryError: It begins elsewhere.
+            StartError: See `measured`.
+        """
+        here = self.measured()
+        off = np.abs(here - path.q_rad[0])
+        if off.max() > _NEAR_RAD:
+            arm, joint = np.unravel_index(off.argmax(), off.shape)
+            found, allowed = distinguishable(float(off.max()), _NEAR_RAD)
+            raise TrajectoryError(
+                f"the path begins {found} rad from where joint {joint} of the {ARMS[arm]} arm is, allowed are "
+                f"{allowed}: bring the arms to its first point, as `follow --to FILE --cell CELL` does, or begin where "
+                "they are"
+            )
 
     def _script(self, token: int) -> str:
         speed = max(self.limits.speed_rad_s)

@@ -50,11 +50,11 @@ class Exchange:
         self._versions, self.name = self._block.counters("versions"), self._block.name
 
     def _write(self, number: int, values: Mapping[str, NDArray[Any]]) -> None:
-        version = self._versions[number]
-        self._versions[number] = version + 1
+        odd = self._versions[number] | 1  # it is odd already after a write that Ctrl-C interrupted
+        self._versions[number] = odd
         for key, each in values.items():
             self._block[key][...] = each
-        self._versions[number] = version + 2
+        self._versions[number] = odd + 1
 
     def _read(self, number: int, *keys: str) -> list[NDArray[Any]] | None:
         """Return copies of arrays that belong together; None: they are being written."""

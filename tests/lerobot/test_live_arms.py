@@ -18,6 +18,7 @@ from dual_ur10.lerobot.dataset_reader import read_dataset
 from dual_ur10.lerobot.features import ACTION, ENVIRONMENT_STATE, STATE
 from dual_ur10.lerobot.gym_view import LeRobotView
 from dual_ur10.lerobot.live_arms import LiveArms, LiveOperator
+from dual_ur10.lerobot.live_process import Exchange
 from dual_ur10.policies.operators.device import Reading
 from dual_ur10.sim2real.cell.cell_kinds import CELL_KINDS
 from tests.lerobot.conftest import STEPS
@@ -118,6 +119,28 @@ def log(tmp_path, monkeypatch):
     sys.modules.pop("approaching", None)
     CELL_KINDS.clear()
     CELL_KINDS.update(kinds)
+
+
+class Interrupted:
+    """Values in whose writing Ctrl-C comes."""
+
+    def items(self):
+        raise KeyboardInterrupt
+
+
+def test_commands_after_an_interrupted_one_count():
+    shapes = {"target": (2,), "observation": (1,), "images": (0,)}
+    here = Exchange(shapes)
+    there = Exchange(shapes, here.name)
+    before = np.zeros(2, dtype=np.float32)
+    with pytest.raises(KeyboardInterrupt):
+        here._write(0, Interrupted())
+    assert there.commanded(before) is before
+    for value in (1.0, 2.0):
+        here.command(np.full(2, value, dtype=np.float32))
+        assert there.commanded(before).tolist() == [value, value]
+    there.close()
+    here.close()
 
 
 def test_arms_hold_and_approach_what_is_commanded():

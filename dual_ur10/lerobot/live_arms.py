@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
+import time
 from collections.abc import Mapping, Sequence
 from multiprocessing.connection import Connection, Pipe
 from typing import Any, Final
@@ -18,6 +20,7 @@ from dual_ur10.lerobot.live_process import Exchange, run
 from dual_ur10.lerobot.positions import Positions
 from dual_ur10.policies.learned.signature import EnvironmentView
 from dual_ur10.policies.operators.catalog import load_operator
+from dual_ur10.policies.operators.device import LOST_S
 from dual_ur10.policies.operators.operator import Operator
 from dual_ur10.sim2real.commissioning.operator_prompts import ask_at_terminal
 from ur_core.processes.child_process import Child
@@ -51,6 +54,7 @@ class LiveArms:
         names: Names of the positions, 12 or 14: joints in rad, grippers from 0, closed, to 1, open.
         cameras: As given.
         size: As given.
+        starts: Number of motions to the start so far.
 
     Raises:
         SettingsError: A keyword is one that this sets itself.
@@ -87,6 +91,7 @@ class LiveArms:
         self._connection: Connection | None = None
         self._ready = False
         self._error: BaseException | None = None
+        self.starts = 0
 
     def __repr__(self) -> str:
         state = "started" if self.started else "not started"
@@ -137,6 +142,7 @@ class LiveArms:
             if message == "confirm":
                 self._connection.send(self._confirmed(content))
             self._ready = message == "ready"
+        self.starts += 1
 
     def _confirmed(self, text: str) -> bool:
         return not self._asks or ask_at_terminal(text)
@@ -209,6 +215,9 @@ class LiveArms:
 class LiveOperator:
     """Person who leads live arms with an input device.
 
+    Who leads begins anew once the arms were started again, and after a pause of more than a second: a leader that was
+    moved meanwhile is refused far from its arm, and else reached slowly.
+
     Args:
         arms: The arms, which are started.
         device: Device and its arguments, as for `--operator`.
@@ -219,6 +228,7 @@ class LiveOperator:
 
     def __init__(self, arms: LiveArms, device: str) -> None:
         self._arms, self._operator = arms, arms.operator(device)
+        self._starts, self._asked_s = arms.starts, -math.inf
 
     def __call__(self) -> dict[str, float]:
         """Return the positions that the person commands, by name.
@@ -228,6 +238,12 @@ class LiveOperator:
             DualUR10Error: What ended the motion.
         """
         _, observation, _ = self._arms.observation()
+        now_s, starts = time.monotonic(), self._arms.starts
+        if starts != self._starts:
+            self._operator.reset()
+        elif now_s - self._asked_s > LOST_S:
+            self._operator.release()
+        self._starts, self._asked_s = starts, now_s
         found = self._operator(observation)
         if self._arms.positions.stroke_m is not None:
             found[6::7] = (found[6::7] + 1.0) / 2.0

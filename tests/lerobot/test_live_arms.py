@@ -7,12 +7,21 @@ import signal
 import subprocess
 import sys
 import threading
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from dual_ur10 import ids
-from dual_ur10.errors import ActionError, ClosedError, LinkError, SettingsError, StartError, UnknownNameError
+from dual_ur10.errors import (
+    ActionError,
+    ClosedError,
+    LeaderConfigurationError,
+    LinkError,
+    SettingsError,
+    StartError,
+    UnknownNameError,
+)
 from dual_ur10.lerobot import live_arms
 from dual_ur10.lerobot.dataset_reader import read_dataset
 from dual_ur10.lerobot.features import ACTION, ENVIRONMENT_STATE, STATE
@@ -36,6 +45,21 @@ class Lift:
         twist = np.zeros((2, 6))
         twist[:, 2] = 0.05
         return Reading(twist=twist, clutch=np.ones(2, dtype=bool))
+
+    def close(self):
+        pass
+
+
+class Leader:
+    """Two leader arms, whose grippers are closed."""
+
+    name, hands, q_rad = "leader", 2, None
+
+    def begin(self):
+        pass
+
+    def read(self):
+        return Reading(joints_rad=self.q_rad, clutch=np.ones(2, dtype=bool), gripper=np.zeros(2))
 
     def close(self):
         pass
@@ -172,6 +196,45 @@ def test_arms_hold_and_approach_what_is_commanded():
         arms.command(goal)
 
 
+def test_leaders_join_anew_after_a_pause_and_a_start(monkeypatch):
+    def joints():
+        return np.delete(arms.observation()[0], [6, 13]).reshape(2, 6)
+
+    def lead(seconds=0.03):
+        """Return the step of the joints that a leader commands so long after the call before, and the grippers'."""
+        nonlocal now_s
+        now_s += seconds
+        found = np.array(list(person().values()))
+        return np.abs(np.delete(found, [6, 13]).reshape(2, 6) - joints()).max(), found[[6, 13]].tolist()
+
+    now_s = 0.0
+    monkeypatch.setattr(live_arms, "time", SimpleNamespace(monotonic=lambda: now_s))
+    slow = 0.2 * 0.04 * 1.001  # of one period
+    arms = LiveArms()
+    arms.start()
+    try:
+        Leader.q_rad = joints()
+        person = LiveOperator(arms, f"{__name__}:Leader")
+        assert lead() == (0.0, [0.0, 0.0])
+        Leader.q_rad = joints() + 0.4
+        assert lead()[0] > 3 * slow  # the leader is followed
+        assert 0.0 < lead(2.0)[0] < slow
+        Leader.q_rad = joints()
+        lead()
+        arms.stop()
+        arms.start()
+        Leader.q_rad = joints() + 0.4
+        assert 0.0 < lead()[0] < slow
+        Leader.q_rad = joints() + 1.0
+        arms.stop()
+        arms.start()
+        with pytest.raises(LeaderConfigurationError, match="Put the leader into the configuration of its arm"):
+            lead()
+        person.close()
+    finally:
+        arms.stop()
+
+
 def test_what_ends_the_motion_is_raised_by_the_next_call():
     """Here the end of a task's time, and that of the process."""
     arms = LiveArms("SineTracking", duration_s=0.4)
@@ -248,6 +311,7 @@ import signal
 import subprocess
 import sys
 import threading
+from types import SimpleNamespace
 import time
 
 from dual_ur10.lerobot import live_arms

@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from dual_ur10.errors import TrajectoryError
+from dual_ur10.errors import SettingsError, TrajectoryError
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import HISTORY, MotionLimits
 from dual_ur10.sim2real.trajectory.interpolation import Interpolation, make_interp_spline
@@ -106,10 +106,11 @@ def time_path(
         duration_s: Duration; None: the shortest.
 
     Raises:
-        TrajectoryError: The path is no path or moves another arm, `duration_s` or `blend_rad` is not legal, the motion
-            takes longer than `duration_s`, or the gate refuses it at any speed.
+        TrajectoryError: The path is no path, moves another arm, leaves the joint range or is too long, `duration_s` or
+            `blend_rad` is not legal, the motion takes longer than `duration_s`, or the gate refuses it at any speed.
     """
     corners = _checked(path_rad, arms)
+    _check_extent(corners, gate.limits)
     for name, value in (("blend_rad", blend_rad), ("duration_s", 1.0 if duration_s is None else duration_s)):
         if not (math.isfinite(value) and value > 0.0):
             raise TrajectoryError(f"{name} is {value!r}: it must be above 0 and finite")
@@ -165,7 +166,8 @@ def _checked(path_rad: Array, arms: Sequence[str]) -> Array:
         raise TrajectoryError("a path must be configurations of both arms, (points, 2, 6)") from None
     if not len(corners) or not np.isfinite(corners).all():
         raise TrajectoryError("a path must have one point or more, and finite joint angles")
-    moves = np.abs(np.diff(corners, axis=0)).max(axis=1) > _SAME_RAD
+    with np.errstate(over="ignore"):  # such points are out of range
+        moves = np.abs(np.diff(corners, axis=0)).max(axis=1) > _SAME_RAD
     for row, name in enumerate(ARMS):
         if name not in arms and (corners[:, 6 * row : 6 * row + 6] != corners[0, 6 * row : 6 * row + 6]).any():
             raise TrajectoryError(f"the path moves the {name} arm, which has to stay: time it for both arms")
@@ -174,6 +176,22 @@ def _checked(path_rad: Array, arms: Sequence[str]) -> Array:
     last = int(np.flatnonzero(moves)[-1])
     # The last point itself is kept, not one that is nearly the same.
     return np.concatenate([corners[:1], corners[1 : last + 1][moves[:last]], corners[-1:]])
+
+
+def _check_extent(corners: Array, limits: MotionLimits) -> None:
+    """Check that a path is short enough for its grid.
+
+    Raises:
+        TrajectoryError: A corner is outside the joint range, or the path takes too long at the largest speed.
+    """
+    try:
+        for extreme in (corners.min(axis=0), corners.max(axis=0)):
+            limits.check_range(extreme.reshape(2, 6))
+    except SettingsError as error:
+        raise TrajectoryError(f"a point of the path is out of range: {error}") from None
+    length = float(np.abs(np.diff(corners, axis=0)).max(axis=1).sum())
+    if text := too_long(length / max(limits.speed_rad_s)):
+        raise TrajectoryError(text)
 
 
 class _Rounded:

@@ -21,6 +21,7 @@ from dual_ur10.sim2real.trajectory.smooth_path import ROUNDING_S, SmoothPath
 from ur_core.processes.machine_load import too_busy
 from ur_core.types import Array
 
+_MOST_WINDOWS: Final = 5000  # of one way onto a path, which is checked within a period: 0.1 s
 _JOINS_S: Final = (0.0, 0.06, 0.16, 0.36, 0.76, 1.56, 3.16)  # after the first instant at which a path can be met
 _STRETCHES: Final = (1.0, 1.3, 1.7, 2.2, 3.0, 4.5, 7.0)  # of the shortest time in which the rate may change
 
@@ -29,6 +30,7 @@ _PEAK, _SECOND_PEAK = 1.875, 5.78
 _OF_ACCELERATION, _OF_JERK = 0.6, 0.5
 _SHORTEST_S: Final = 0.04
 
+_WAY_REFUSED: Final = "the way from the current motion onto the path is refused"
 _NOT_STARTED: Final = "the arms have not been brought to a start: call start() first"
 
 
@@ -199,12 +201,16 @@ class CourseStepper:
             meets_s = first_s + later_s
             if later_s and meets_s > end_s:
                 break
-            course = Course(path.joined(begun_s, leaving, meets_s), Rate.constant(now, begun_s, rate))
             windows = math.ceil((meets_s - begun_s) / rate / self.law.period_s) + HISTORY
+            if windows > _MOST_WINDOWS:
+                most_s = (_MOST_WINDOWS - HISTORY) * self.law.period_s
+                takes = f"it takes {(meets_s - begun_s) / rate:g} s at a scaling of {rate:g}, allowed are {most_s:g} s"
+                return f"{_WAY_REFUSED}, {refusal or takes}. Let the first point come sooner, or raise the scaling"
+            course = Course(path.joined(begun_s, leaving, meets_s), Rate.constant(now, begun_s, rate))
             refusal = rehearse(self.gate.rehearsal(), self.law, course, now, windows)
             if refusal is None:
                 return course
-        return f"the way from the current motion onto the path is refused, {refusal}. Give the first point more time"
+        return f"{_WAY_REFUSED}, {refusal}. Give the first point more time"
 
     def shortest_s(self, change: float) -> float:
         """Return the shortest time in which the rate may change, by the speeds in the next second of the path."""

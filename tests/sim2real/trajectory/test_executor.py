@@ -226,6 +226,21 @@ def test_the_scaling_stretches_time_and_keeps_the_path():
     check_sent(executor)
 
 
+@pytest.mark.parametrize(
+    ("scaling", "first_s", "takes"), [(0.05, 3.9, ""), (0.01, 10.0, "1000 s"), (1.0, 81.0, "81 s")]
+)
+def test_a_way_to_a_late_first_point_that_takes_long_to_check_is_refused(scaling, first_s, takes):
+    executor, later = made(), wave()
+    executor.scaling = scaling
+    handle = executor.execute(dataclasses.replace(later, time_s=first_s + later.time_s))
+    steps(executor, 3)
+    if not takes:
+        assert handle.state == GoalState.ACTIVE
+        return
+    assert handle.state == GoalState.REJECTED
+    assert f"takes {takes} at a scaling of {scaling:g}, allowed are 79.952 s. Let the first" in handle.result.text
+
+
 @pytest.mark.parametrize("value", [0.0, 1.1, -1, "1", True, np.nan])
 def test_other_scalings_are_refused(value):
     executor = made()

@@ -15,7 +15,7 @@ import math
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, SupportsFloat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,9 +83,18 @@ def checked_tcp(values: Any) -> tuple[Vector3, Vector3]:
 def _six(values: Any) -> Six:
     try:
         array = np.broadcast_to(np.asarray(values, dtype=np.float64), (6,))
-    except (TypeError, ValueError):
-        raise SettingsError(f"a limit must be one number or six, found {values!r}") from None
+    except (OverflowError, TypeError, ValueError):
+        raise SettingsError(f"a limit must be one number or six, found {values!r:.200}") from None
     return (*array.tolist(),)
+
+
+def _one(name: str, value: Any) -> float:
+    if isinstance(value, str) or not isinstance(value, SupportsFloat):
+        raise SettingsError(f"limit {name} must be a number, found {value!r:.200}")
+    try:
+        return float(value)
+    except (OverflowError, TypeError, ValueError):
+        raise SettingsError(f"limit {name} must be a number, found {value!r:.200}") from None
 
 
 def hard_speed_rad_s(robots: Collection[str]) -> Array:
@@ -117,8 +126,8 @@ class MotionLimits:
 
     Raises:
         UnknownNameError: There is no such model.
-        SettingsError: A limit is not positive and finite, or wider than the hard limits of one of both models in
-            `ur_core.kinematics.robot_model`.
+        SettingsError: A limit is no number, not positive and finite, or wider than the hard limits of one of both
+            models in `ur_core.kinematics.robot_model`.
     """
 
     speed_rad_s: Six = _SPEED_RAD_S
@@ -134,6 +143,8 @@ class MotionLimits:
         object.__setattr__(self, "robots", tuple(self.robots))
         for name in ("speed_rad_s", "lower_rad", "upper_rad"):
             object.__setattr__(self, name, _six(getattr(self, name)))
+        for name in ("acceleration_rad_s2", "jerk_rad_s3", "tcp_speed_m_s"):
+            object.__setattr__(self, name, _one(name, getattr(self, name)))
         for name, hard in (
             ("speed_rad_s", hard_speed_rad_s(self.robots)),
             ("acceleration_rad_s2", ur10.HARD_ACCELERATION_RAD_S2),

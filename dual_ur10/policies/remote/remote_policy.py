@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 PREFIX: Final = "remote:"
 _CONNECT_S: Final = 5.0
 _OPTIONS: Final = ("mapping", "token")
+_OF_POLICY: Final = ("env_id", "keywords", "dt_s", "action_space", "action_horizon")  # metadata that stay
 _RECEIVED: Final = pydantic.ConfigDict(strict=True, extra="ignore", frozen=True, allow_inf_nan=False)
 
 _Text = Annotated[str, pydantic.Field(max_length=200)]
@@ -138,6 +139,19 @@ class RemotePolicy:
             shown = listed(error.errors(), lambda each: f"{path_of(each['loc'])[1:]}: {each['msg']}", 5)
             raise PolicyServerError(f"{self.address} states metadata that are not legal: {shown}") from None
 
+    def _reconnect(self) -> None:
+        """Connect again, and refuse a server that has another policy than at first."""
+        before, now = self.metadata, self._connected()
+        names = [name for name in _OF_POLICY if getattr(now, name) != getattr(before, name)]
+        if names:
+            self.close()
+            changed = ", ".join(f"{name} {getattr(before, name)!r:.80} to {getattr(now, name)!r:.80}" for name in names)
+            raise PolicyServerError(
+                f"{self.address} has another policy than before, from {changed}: load the policy again, or start the "
+                "server as it was"
+            )
+        self.metadata = now
+
     def close(self) -> None:
         """Close the connection. May be called twice."""
         if self._socket is not None:
@@ -147,10 +161,10 @@ class RemotePolicy:
         """Reset the policy of a server that can be reset; connect again to one that is gone.
 
         Raises:
-            PolicyServerError: It does not answer.
+            PolicyServerError: It does not answer, or has another policy than before.
         """
         if self._socket is None or self._socket.state is not websockets.protocol.State.OPEN:
-            self.metadata = self._connected()
+            self._reconnect()
         if self._mapped.mapping.endpoint or "reset" in self.metadata.endpoints:
             self._sent({"endpoint": "reset"})
             self._received(self._mapped.mapping.timeout_s, text=True)
@@ -163,7 +177,7 @@ class RemotePolicy:
         """
         request = self._mapped.request(observation)
         if self._socket is None:
-            self.metadata = self._connected()
+            self._reconnect()
         if self.metadata.time_key == "time_s":
             request["time_s"] = time_s
         self._sent(request)

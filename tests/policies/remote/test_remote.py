@@ -245,6 +245,30 @@ def test_servers_of_other_policies_are_refused(options, text):
         make(f"remote:{address}", SINE)
 
 
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"dt_s": 0.2}, "dt_s 0.1 to 0.2"),
+        ({"action_space": "joint_delta"}, "action_space 'joint_position' to 'joint_delta'"),
+        ({"action_horizon": 1}, "action_horizon None to 1"),
+        ({"env_id": "DualUR10/Handover-v0"}, "env_id None to 'DualUR10/Handover-v0'"),
+        ({"keywords": {"action_scale": 0.5}}, "keywords"),
+    ],
+)
+def test_a_server_that_comes_back_with_another_policy_is_refused(change, text):
+    metadata = dict(OURS)
+    with stand_in([...], metadata) as (address, _):
+        source = connect(f"remote:{address}", EnvSetup.resolve(SINE, {})).source
+        source.close()
+        source.reset()  # the same one is taken
+        metadata.update(change)
+        source.close()
+        for _ in range(2):
+            with pytest.raises(PolicyServerError, match=f"another policy than before, from {text}"):
+                source.reset()
+        assert source.metadata.dt_s == 0.1
+
+
 ARRAY = np.zeros(2)
 
 

@@ -19,6 +19,9 @@ from dual_ur10.errors import ActionError, ChunkError, DualUR10Error, PolicyServe
 from dual_ur10.policies.chunks.chunk_policy import ChunkPolicy
 from dual_ur10.policies.remote.wire import MOST_BYTES, packed, unpacked
 
+SILENT_S: Final = 60.0
+"""Time without a message after which a client makes way for another one: it may be stopped, and not gone."""
+
 _TURN_S: Final = 1.0
 _PROBES: Final = {"TCP_KEEPIDLE": 10, "TCP_KEEPINTVL": 5, "TCP_KEEPCNT": 3, "TCP_USER_TIMEOUT": 25_000}
 """Options that end the connection of a machine that is silent for 25 s, as far as the platform has them."""
@@ -28,6 +31,8 @@ _LOG: Final = logging.getLogger(__name__)
 
 class PolicyServer:
     """Server that answers each observation with a chunk of actions, to one client at a time.
+
+    A client that has sent nothing for `SILENT_S` makes way for the next one.
 
     It answers `{"observation": ...}`, with `{"actions": (H, D), "server_timing": {"infer_ms": ...}}`. A chunk policy
     also gets the number under "time_s", or 0. `{"endpoint": "reset"}` resets the policy, and so does each connection.
@@ -66,6 +71,7 @@ class PolicyServer:
             )
         self._policy, self._metadata, self._token = policy, packed(dict(metadata)), token
         self._turn = threading.Lock()
+        self._silent: tuple[Any, float] | None = None  # the client, and since when it is waited for
         try:
             self._server = websockets.sync.server.serve(
                 self._serve,
@@ -73,6 +79,7 @@ class PolicyServer:
                 port,
                 max_size=MOST_BYTES,
                 compression=None,
+                close_timeout=_TURN_S,
                 ping_interval=None,  # a client that waits for its turn in a loop of its own does not answer
                 origins=[None],  # no page of a browser
                 process_request=self._admit,
@@ -117,14 +124,17 @@ class PolicyServer:
         for name, value in _PROBES.items():
             if hasattr(socket, name):
                 connection.socket.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
-        if not self._turn.acquire(timeout=_TURN_S):  # a client that comes back may be sooner than its own end
+        if not self._has_turn():
             _end(connection, "busy: this server answers one client at a time")
             return
         try:
             self._policy.reset()
             connection.send(self._metadata)
+            self._silent = connection, time.monotonic()
             for message in connection:
+                self._silent = None
                 connection.send(self._answered(message))
+                self._silent = connection, time.monotonic()
         except websockets.exceptions.ConnectionClosed:
             pass
         except DualUR10Error as error:
@@ -133,7 +143,18 @@ class PolicyServer:
             _LOG.exception("the policy failed")
             _end(connection, f"the policy failed: {type(error).__name__}: {error}")
         finally:
+            self._silent = None
             self._turn.release()
+
+    def _has_turn(self) -> bool:
+        """Wait for the turn, and return True if it has come; a silent client makes way."""
+        if self._turn.acquire(timeout=_TURN_S):  # a client that comes back may be sooner than its own end
+            return True
+        silent = self._silent
+        if silent is None or time.monotonic() - silent[1] < SILENT_S:
+            return False
+        _end(silent[0], f"another client came, and this one had sent nothing for {SILENT_S:g} s: connect again")
+        return self._turn.acquire(timeout=_TURN_S)
 
     def _answered(self, message: Any) -> bytes:
         """Return the answer to a message.

@@ -140,6 +140,18 @@ def test_the_kernel_finds_clients_whose_machine_is_gone():
                 assert found.getsockopt(socket.IPPROTO_TCP, getattr(socket, name)) == value
 
 
+def test_a_silent_client_makes_way_for_the_next_one(monkeypatch):
+    monkeypatch.setattr(policy_server, "_TURN_S", 0.2)
+    with PolicyServer(Lift(), {}, port=0) as server, client(server.address) as one:
+        one.recv()
+        with client(server.address) as two:
+            assert "one client at a time" in two.recv()
+        monkeypatch.setattr(policy_server, "SILENT_S", 0.0)
+        with client(server.address) as three:
+            assert msgspec.msgpack.decode(three.recv()) == {}
+            assert "another client came" in one.recv()
+
+
 def test_other_machines_need_a_token(tmp_path):
     with pytest.raises(SettingsError, match="give it a token"):
         PolicyServer(None, {}, host="0.0.0.0", port=0)

@@ -39,7 +39,7 @@ from dual_ur10.cli.session import (
 )
 from dual_ur10.errors import SettingsError
 from dual_ur10.ids import TASKS, env_id_of
-from dual_ur10.policies.registry import NAMES, is_remote, names_for
+from dual_ur10.policies.registry import NAMES, names_for
 from ur_core.files import check_target
 from ur_core.processes.interrupts import INTERRUPTED
 
@@ -124,8 +124,7 @@ def evaluate(
     check_leader(policy, operator)
     if operator is not None and operator.partition(":")[0] == "page":
         raise SettingsError("evaluate shows no page: use rollout, view or live with --operator page")
-    # A server may keep the state of one episode.
-    alone = cell is not None or "record" in keywords or operator is not None or is_remote(policy)
+    alone = cell is not None or "record" in keywords or operator is not None
     envs = 1 if alone else envs
     check_min_success(min_success)
     check_extras(cell=cell, devices=[operator])

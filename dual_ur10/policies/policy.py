@@ -97,6 +97,11 @@ def close_policy(policy: object) -> None:
         close()
 
 
+def is_alone(policy: object) -> bool:
+    """Return True if a policy, asked with each row of a batch, may keep what belongs to one episode."""
+    return bool(getattr(policy, "alone", False))
+
+
 @runtime_checkable
 class EpisodeAware(Protocol):
     """A policy that is notified when single rows of a batch begin episodes, so that no row waits for the others."""

@@ -113,6 +113,7 @@ class ChunkExecutor:
 
     Attributes:
         source: As given.
+        alone: One cell at a time, because the chunk policy does not declare that it is `stateless`.
         splices: Number of chunks that were followed.
         late: Number of chunks that came after all of their actions.
 
@@ -150,6 +151,7 @@ class ChunkExecutor:
             if isinstance(value, int | float) and not value >= 0.0:
                 raise SettingsError(f"{name} is {value!r}: it must be a time of 0 s or more")
         self.source, self.latency_s = source, latency_s
+        self.alone = not getattr(source, "stateless", False)
         self.__name__ = str(getattr(source, "__name__", type(source).__name__))  # in results and records
         self._mode, self._grippers, self._view = action_mode, grippers, view
         self._layout, self._strokes_m = layout, np.array(strokes_m(tools))

@@ -23,7 +23,15 @@ from dual_ur10.policies.chunks.chunk_policy import ChunkPolicy
 from dual_ur10.policies.evaluation.results import EpisodeResult, Evaluation
 from dual_ur10.policies.evaluation.rollout import act
 from dual_ur10.policies.learned.checkpoint import warn_outside
-from dual_ur10.policies.policy import EpisodeAware, FunctionPolicy, Policy, as_policy, close_policy, policy_name
+from dual_ur10.policies.policy import (
+    EpisodeAware,
+    FunctionPolicy,
+    Policy,
+    as_policy,
+    close_policy,
+    is_alone,
+    policy_name,
+)
 from dual_ur10.policies.registry import (
     check_name,
     env_id_beside,
@@ -74,7 +82,8 @@ def evaluate(
             folder of a checkpoint, made for this environment; or "module:Class", as for `load`.
         episodes: Number of episodes, 1 or more.
         seed: Seed of the first episode, 0 or more.
-        num_envs: Number of parallel episodes.
+        num_envs: Number of parallel episodes. A server, and a chunk policy without a true attribute `stateless`, may
+            keep the state of one episode: theirs run one at a time.
         env_kwargs: Keywords of the environment. Unless they state them, it has those that a learned policy needs, as
             of `dual_ur10.policies.make`. They include `threads` and `max_episode_steps` of its vector form. With
             `record`, `num_envs` must be 1: only one cell can be recorded.
@@ -110,7 +119,7 @@ def evaluate(
         given = {"record_about": provenance(policy, env_id), **given}
     keywords = {name: value for name, value in given.items() if name not in _RECORD}
     actor = load_named(policy, env_id, keywords)  # before anything is connected or a folder of the run is made
-    env = _make(env_id, min(num_envs, episodes), given)
+    env = _make(env_id, 1 if is_alone(policy if actor is None else actor) else min(num_envs, episodes), given)
     try:
         actor = actor_of(policy, env) if actor is None else actor
         core = env.unwrapped.core

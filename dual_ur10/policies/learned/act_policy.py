@@ -30,13 +30,14 @@ class ActPolicy:
         action_mode: See `dual_ur10.policies.chunks.chunk_policy.ChunkPolicy`.
         latency_s: Time after which a chunk counts in simulation: one action, as on controllers.
         portable: A child process may ask it.
+        stateless: Rows of a batch may ask it in turn.
 
     Raises:
         CheckpointError: The network is another.
         MissingExtraError: It sees images, and PyTorch is not installed.
     """
 
-    portable = True
+    portable = stateless = True
 
     def __init__(self, manifest: Manifest, networks: Sequence[ActTensors]) -> None:
         if not isinstance(manifest.network, ActShape):

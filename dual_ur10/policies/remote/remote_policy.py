@@ -244,7 +244,12 @@ class RemoteSteps:
     Args:
         source: The server.
         size: Numbers of an arm's action.
+
+    Attributes:
+        alone: One cell at a time: a server may keep the state of one episode.
     """
+
+    alone: ClassVar[bool] = True
 
     def __init__(self, source: RemotePolicy, size: int) -> None:
         self.source, self._size = source, size

@@ -17,7 +17,7 @@ from dual_ur10.ids import env_id_of, received
 from dual_ur10.policies.evaluation.evaluate import actor_of
 from dual_ur10.policies.evaluation.minari_export import to_minari
 from dual_ur10.policies.learned.signature import EnvironmentView, view_of
-from dual_ur10.policies.policy import EpisodeAware
+from dual_ur10.policies.policy import EpisodeAware, is_alone
 from dual_ur10.policies.registry import keywords_for, load_named
 from dual_ur10.policies.training.gather import Samples
 from dual_ur10.policies.training.settings import check_simulated
@@ -53,7 +53,7 @@ def collect(
         policy: A name as for `dual_ur10.policies.evaluate`, or the folder of a checkpoint.
         episodes: Number of episodes.
         seed: Seed of the first episode; the others count on.
-        envs: Number of cells that are stepped together.
+        envs: Number of cells that are stepped together; one where `evaluate` runs one.
         env_kwargs: Keywords of the environment.
         author: Author of the dataset.
         author_email: Author's address.
@@ -75,7 +75,7 @@ def collect(
     keywords = keywords_for(policy, env_id, keywords)
     loaded = load_named(policy, env_id, keywords)
     env = DualArmVectorEnv(
-        min(envs, episodes),
+        1 if is_alone(loaded) else min(envs, episodes),
         env_id,
         autoreset_mode="Disabled",
         threads=threads,

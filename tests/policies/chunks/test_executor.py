@@ -216,16 +216,43 @@ def test_a_portable_chunk_policy_is_asked_in_a_child_process_whose_end_is_an_err
     executor.close()
 
 
+class Stateless(Sway):
+    """It declares that rows may share it."""
+
+    stateless = True
+
+
+class Remembering:
+    """It tells its requests since the last reset apart."""
+
+    dt_s, action_mode, latency_s = 0.04, "joint_delta", 0.0
+
+    def reset(self):
+        self.count = 0
+
+    def chunk(self, observation, time_s):
+        self.count += 1
+        return np.full((10, 12), 0.2 * np.sin(self.count))
+
+
+def test_episodes_share_no_state_of_a_chunk_policy_whatever_their_number():
+    found = [
+        evaluate("SineTracking", Remembering(), episodes=3, num_envs=envs, env_kwargs={"duration_s": 1.0}).episodes
+        for envs in (1, 3)
+    ]
+    assert found[0] == found[1]
+
+
 def test_rows_of_a_batch_act_as_alone():
     env_id, keywords = "DualUR10/SineTracking-v0", {"duration_s": 1.0}
-    both = evaluate(env_id, Sway(), episodes=2, num_envs=2, env_kwargs=keywords)
+    both = evaluate(env_id, Stateless(), episodes=2, num_envs=2, env_kwargs=keywords)
     one = evaluate(env_id, Sway(), episodes=2, num_envs=1, env_kwargs=keywords)
     rewards = [[each.total_reward for each in found.episodes] for found in (both, one)]
     assert rewards[0] != pytest.approx([0.0, 0.0])
     assert rewards[0][0] == pytest.approx(rewards[1][0], abs=0.5)
 
 
-class Seeing(Sway):
+class Seeing(Stateless):
     """It looks at an image, too."""
 
     def chunk(self, observation, time_s):

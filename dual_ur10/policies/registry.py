@@ -31,7 +31,7 @@ from ur_core.objects import load_object
 if TYPE_CHECKING:
     from dual_ur10.envs.core.setup import EnvSetup
 
-_OF_INTERFACES: Final = ("max_episode_steps", "render_mode", "threads", "disable_env_checker")
+OF_INTERFACES: Final = ("max_episode_steps", "render_mode", "threads", "disable_env_checker")
 """Keywords of `gym.make` and `gym.make_vec` on which no policy depends."""
 
 NAMES: Final = ("scripted", *LEARNED_NAMES)
@@ -176,7 +176,7 @@ def load(name: str | os.PathLike[str], env_id: str | None = None, **keywords: An
         PolicyError: An object of the class is no policy.
         CheckpointError: The checkpoint cannot be read, or was made for another environment.
     """
-    keywords = {key: value for key, value in keywords.items() if key not in _OF_INTERFACES}
+    keywords = {key: value for key, value in keywords.items() if key not in OF_INTERFACES}
     env_id = None if env_id is None else env_id_beside(name, env_id)
     if is_remote(name):
         if env_id is None:

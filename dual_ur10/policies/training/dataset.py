@@ -18,7 +18,7 @@ from dual_ur10.policies.evaluation.evaluate import actor_of
 from dual_ur10.policies.evaluation.minari_export import to_minari
 from dual_ur10.policies.learned.signature import EnvironmentView, view_of
 from dual_ur10.policies.policy import EpisodeAware, is_alone
-from dual_ur10.policies.registry import keywords_for, load_named
+from dual_ur10.policies.registry import OF_INTERFACES, keywords_for, load_named
 from dual_ur10.policies.training.gather import Samples
 from dual_ur10.policies.training.settings import check_simulated
 from dual_ur10.sim2real.recording.header import describe
@@ -54,7 +54,7 @@ def collect(
         episodes: Number of episodes.
         seed: Seed of the first episode; the others count on.
         envs: Number of cells that are stepped together; one where `evaluate` runs one.
-        env_kwargs: Keywords of the environment.
+        env_kwargs: Keywords of the environment, and `max_episode_steps` of its vector form.
         author: Author of the dataset.
         author_email: Author's address.
         code_permalink: Link to the code that made it.
@@ -78,14 +78,13 @@ def collect(
         1 if is_alone(loaded) else min(envs, episodes),
         env_id,
         autoreset_mode="Disabled",
-        threads=threads,
-        **{**AS_ON_CONTROLLERS, **keywords},
+        **{"threads": threads, **AS_ON_CONTROLLERS, **keywords},
     )
     try:
         actor, core = actor_of(policy, env) if loaded is None else loaded, env.core
         header = describe(
             env_id,
-            keywords,
+            {name: value for name, value in keywords.items() if name not in OF_INTERFACES},
             core.config,
             period_ticks=core.pipeline.adapter.ticks,
             latency_ticks=int(core.options.latency_ticks(core.config)),

@@ -152,6 +152,12 @@ def test_every_named_policy_can_be_collected_from(policy):
     assert actions.any() == (policy == "random")
 
 
+def test_keywords_of_the_vector_form_are_no_keywords_of_the_dataset():
+    dataset = made(policy="zero", env_kwargs={**KEYWORDS, "max_episode_steps": 5, "threads": 1})
+    assert dataset.total_steps == 15
+    assert dataset.recover_environment().spec.kwargs.keys() == {"task", *KEYWORDS}
+
+
 @pytest.mark.parametrize(
     ("keywords", "match"),
     [

@@ -45,7 +45,7 @@ class LiveArms:
     their path to the start.
 
     Args:
-        env: Id of the environment, or its short form. Its episode must not end by itself: "Free".
+        env: Id of the environment, or its short form; "module:id" imports the module first. Its episode must not end by itself: "Free".
         cameras: Cameras whose images are observed: of the model, or of the cell.
         size: Height and width of an image.
         **keywords: Further keywords of the environment, such as `cell` and `robot`; they are pickled.
@@ -73,6 +73,7 @@ class LiveArms:
             if name in keywords:
                 raise SettingsError(f"{name} is set by {type(self).__name__} itself: {instead}")
         self._env_id = env_id_of(env)
+        self._name = env if ":" in env else self._env_id  # the other process imports the module, too
         shown = {"observation": "both", "cameras": tuple(cameras), "height": size[0], "width": size[1]}
         self._keywords: Mapping[str, Any] = {
             "on_refusal": "terminate",
@@ -133,7 +134,7 @@ class LiveArms:
         self._connection, theirs = Pipe()
         with theirs:
             number, shared = theirs.fileno(), self._exchange.name
-            work = (number, shared, layout, self._env_id, dict(self._keywords), self.cameras, os.getpid())
+            work = (number, shared, layout, self._name, dict(self._keywords), self.cameras, os.getpid())
             self._process = Child(run, *work, files=[number], name="live-arms")
         while not self._ready:
             message, content = self._next()

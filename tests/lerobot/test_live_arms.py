@@ -393,6 +393,22 @@ def test_keywords_that_the_view_sets_are_refused_by_name(keyword, words):
         LeRobotView("Handover", **{keyword: 3})
 
 
+def test_the_other_process_imports_the_module_of_a_task(tmp_path, monkeypatch):
+    (tmp_path / "loose.py").write_text(
+        "import dual_ur10\nfrom dual_ur10.envs.tasks.free.task import Free\n\n\n"
+        '@dual_ur10.register("MyLab/Loose-v0")\nclass Loose(Free):\n    pass\n'
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    try:
+        arms = LiveArms("loose:MyLab/Loose-v0")
+        arms.start()
+        assert arms.started
+        arms.stop()
+    finally:
+        ids.TASKS.pop("MyLab/Loose-v0", None)
+        sys.modules.pop("loose", None)
+
+
 @pytest.mark.parametrize("keyword", ["action_mode", "observation", "height", "width"])
 def test_keywords_that_live_arms_set_are_refused_by_name(keyword):
     with pytest.raises(SettingsError, match=f"{keyword} is set by LiveArms itself"):

@@ -45,7 +45,8 @@ class LiveArms:
     their path to the start.
 
     Args:
-        env: Id of the environment, or its short form; "module:id" imports the module first. Its episode must not end by itself: "Free".
+        env: Id of the environment, or its short form; "module:id" imports the module first. Its episode must not end by
+            itself: "Free".
         cameras: Cameras whose images are observed: of the model, or of the cell.
         size: Height and width of an image.
         **keywords: Further keywords of the environment, such as `cell` and `robot`; they are pickled.

@@ -395,8 +395,8 @@ def test_keywords_that_the_view_sets_are_refused_by_name(keyword, words):
 
 def test_the_other_process_imports_the_module_of_a_task(tmp_path, monkeypatch):
     (tmp_path / "loose.py").write_text(
-        "import dual_ur10\nfrom dual_ur10.envs.tasks.free.task import Free\n\n\n"
-        '@dual_ur10.register("MyLab/Loose-v0")\nclass Loose(Free):\n    pass\n'
+        "from dual_ur10.envs.tasks.free.task import Free\nfrom dual_ur10.registration import register\n\n\n"
+        '@register("MyLab/Loose-v0")\nclass Loose(Free):\n    pass\n'
     )
     monkeypatch.syspath_prepend(tmp_path)
     try:

@@ -540,6 +540,13 @@ def test_arms_that_are_not_ready_any_more_after_the_answer_do_not_begin(cell):
     assert Latch(cell.file, cell.system).read() is None
 
 
+def test_a_trajectory_without_an_end_has_no_points(cell):
+    here = joints(cell)
+    endless = JointTrajectory(ARMS, np.array([0.0, 1e12]), np.stack([here, here]))
+    with stream(cell) as points, pytest.raises(TrajectoryError, match=r"the last point is 1e\+12 s ahead, allowed are"):
+        points.points_of(endless, here)
+
+
 def test_direct_targets_are_not_its_business(cell):
     with pytest.raises(StartError, match="runner"):
         stream(cell, 125.0)

@@ -22,7 +22,7 @@ from dual_ur10.sim2real.programs.program_link import MotionObserver, ProgrammedA
 from dual_ur10.sim2real.programs.stream_motion import PathProgress, StreamMotion, slowed
 from dual_ur10.sim2real.programs.stream_script import NOMINAL_RATE, moves_script, points_script
 from dual_ur10.sim2real.trajectory.interpolation import Interpolation, JointMotion
-from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
+from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, too_long
 from dual_ur10.sim2real.trajectory.point_path import PointPath, check_targets
 from ur_core.kinematics.ur10 import ARMS
 from ur_core.processes.system import LOCAL, System
@@ -108,8 +108,10 @@ class PointStream(ProgrammedArms):
             here_rad: (2, 6) measured positions.
 
         Raises:
-            TrajectoryError: It does not begin or end at rest.
+            TrajectoryError: It does not begin or end at rest, or is too long.
         """
+        if text := too_long(trajectory.duration_s):
+            raise TrajectoryError(text)
         rows = [ARMS.index(arm) for arm in trajectory.arms]
         motion = Interpolation(trajectory, JointMotion.at_rest(np.asarray(here_rad)[rows]))
         # With a target at rest before the start and one after the end, as cubics begin and end with an acceleration.

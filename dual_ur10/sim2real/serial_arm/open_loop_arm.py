@@ -32,7 +32,7 @@ from dual_ur10.sim2real.serial_arm.protocol import (
 )
 from dual_ur10.sim2real.serial_arm.serial_line import SerialLine, SerialTransport
 from dual_ur10.sim2real.trajectory.goal import END_SPEED_RAD_S, GoalState
-from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, ResultCode
+from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, ResultCode, too_long
 from dual_ur10.sim2real.trajectory.reduction import BOUND_RAD, reduce_points
 from ur_core.files import write_text
 from ur_core.kinematics.ur10 import ARMS, JOINTS
@@ -255,8 +255,10 @@ def check(trajectory: JointTrajectory, limits: SerialLimits) -> None:
     """Check the whole path of a trajectory against the limits.
 
     Raises:
-        TrajectoryError: It does not begin and end at rest, has no speeds, or leaves the limits.
+        TrajectoryError: It does not begin and end at rest, has no speeds, is too long, or leaves the limits.
     """
+    if text := too_long(trajectory.duration_s):
+        raise TrajectoryError(text)
     speeds = trajectory.qd_rad_s
     if speeds is None or len(trajectory) < 2:
         raise TrajectoryError(
@@ -272,7 +274,7 @@ def check(trajectory: JointTrajectory, limits: SerialLimits) -> None:
             )
     for point, (q, qd) in enumerate(zip(*_extremes(trajectory), strict=True)):
         for values, limit, unit in ((q, limits.position_rad, "rad"), (qd, limits.speed_rad_s, "rad/s")):
-            if values.max() > limit:
+            if not values.max() <= limit:  # NaN, too, of numbers that overflow
                 arm, joint = np.unravel_index(values.argmax(), values.shape)
                 raise TrajectoryError(
                     f"{trajectory.arms[arm]}/{JOINTS[joint]} reaches {values.max():.4g} {unit} after point {point}, "
@@ -288,13 +290,13 @@ def _extremes(trajectory: JointTrajectory) -> tuple[Array, Array]:
     q, width = trajectory.q_rad, np.diff(trajectory.time_s)[:, None, None]
     qd: Any = trajectory.qd_rad_s
     a, b, u, v = q[:-1], q[1:], qd[:-1], qd[1:]
-    control = np.stack([a, a + u * width / 3, b - v * width / 3, b])
-    # The speed is the parabola with the control values u, w and v; its peak is where its slope is zero.
-    w = 3.0 * (b - a) / width - u - v
-    curve = u - 2 * w + v
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
+        control = np.stack([a, a + u * width / 3, b - v * width / 3, b])
+        # The speed is the parabola with the control values u, w and v; its peak is where its slope is zero.
+        w = 3.0 * (b - a) / width - u - v
+        curve = u - 2 * w + v
         s = np.nan_to_num(np.clip((u - w) / curve, 0.0, 1.0))
-    between = (1 - s) ** 2 * u + 2 * s * (1 - s) * w + s**2 * v
+        between = (1 - s) ** 2 * u + 2 * s * (1 - s) * w + s**2 * v
     return np.abs(control).max(axis=0), np.abs(np.stack([u, between, v])).max(axis=0)
 
 

@@ -83,6 +83,21 @@ def test_an_unknown_position_is_refused_and_nothing_moves(rig):
     assert Request.POINT not in rig.firmware.executed
 
 
+@pytest.mark.parametrize(
+    ("time_s", "words"),
+    [
+        ((0.0, 5000.0, 9000.0), "the last point is 9000 s ahead"),  # more microseconds than the protocol has bits for
+        ((0.0, 1e-309, 1.0), "reaches nan rad/s after point 0"),
+    ],
+)
+def test_what_the_line_cannot_carry_is_refused(rig, time_s, words):
+    q = np.array([0.0, 1.0, 0.0]).reshape(3, 1, 1) * np.ones((3, 1, 6))
+    refused = run(rig, JointTrajectory(("left",), np.array(time_s), q, np.zeros((3, 1, 6))), at_start=True)
+    assert end(refused) == REJECTED
+    assert words in refused.text
+    assert Request.POINT not in rig.firmware.executed
+
+
 def test_a_device_that_lost_its_power_has_to_be_declared_again(tmp_path, rig):
     assert run(rig, trajectory(), at_start=True).state == "succeeded"
     rig.firmware = SerialFirmware(boot=2)

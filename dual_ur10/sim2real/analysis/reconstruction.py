@@ -224,6 +224,11 @@ def check_replayable(header: Header, config: CellConfig) -> None:
             f"({1 / servoj.tick_s:g} Hz): the same are expected. Replay it on the other cell, or record it anew"
         )
     for arm, there, here in zip(ARMS, mounts_of(header), (config.left, config.right), strict=True):
+        if there.robot != here.robot:
+            raise RecordingError(
+                f"the recording's {arm} arm is a {there.robot!r}, that of the cell a {here.robot!r}: the same are "
+                "expected. Replay it on the other cell, or record it anew"
+            )
         away = float(np.linalg.norm(np.subtract(there.position_m, here.position_m)))
         turned = float(np.linalg.norm(quat_to_rotvec(quat_multiply(quat_conjugate(there.quat), here.quat))))
         if not (away <= BASE_M and turned <= BASE_RAD):

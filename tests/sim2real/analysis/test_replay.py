@@ -311,6 +311,10 @@ def headed(run: Run, **values: Any) -> Run:
             "tilted by 0.113137 rad",
         ),
         ({"mounts": [{"position_m": [0, 0, 0], "yaw_rad": 0.0, "dh": {**DH, "d_m": [0.0] * 6}}] * 2}, "another robot"),
+        (
+            {"mounts": [{"position_m": [-0.75, y, 0.0], "robot": "ur5"} for y in (0.6, -0.6)]},
+            "left arm is a 'ur5', that of the cell a 'ur10'",
+        ),
     ],
 )
 def test_what_does_not_fit_is_refused(sine: Run, values: dict[str, Any], words: str) -> None:

@@ -46,6 +46,7 @@ _JOINTS: Final = 6
 _FIRST_S: Final = 0.5  # within which the first positions must come
 _WAIT_S: Final = 0.006  # for answers in each reading: a chain at 1 Mbaud needs 3 ms
 _AGAIN_S: Final = 0.05  # after which a request counts as lost
+_PAUSE_S: Final = LOST_S / 2  # between two readings, in which nothing was asked for: no silence of a chain
 _READ_BYTES: Final = 4096
 
 
@@ -196,6 +197,7 @@ class Leader:
         self.hands, self._clock = len(paths), clock
         self.name = f"leader at {' and '.join(each for _, each in paths)}"
         self._chains: list[_Chain] = []
+        self._read_s = self._resumed_s = clock()
         try:
             for side, each in paths:
                 self._chains.append(_Chain(each, f"{side} leader at {each}".strip(), baud, servos, clock))
@@ -218,7 +220,11 @@ class Leader:
         """See `Device`. A leader has no buttons."""
 
     def read(self) -> Reading:
-        """See `Device`."""
+        """See `Device`. After a pause in which nobody read, old positions count as silence until new ones come."""
+        begin_s = self._clock()
+        if begin_s - self._read_s > _PAUSE_S:
+            self._resumed_s = begin_s
+        self._read_s = begin_s
         for chain in self._chains:
             chain.ask()
         joints, gripper = np.zeros((2, _JOINTS)), np.full(2, np.nan)
@@ -226,9 +232,9 @@ class Leader:
         for hand, chain in enumerate(self._chains):
             chain.collect(max(0.0, until - time.monotonic()))
             now = self._clock()
-            if now - chain.asked_s > LOST_S:
+            if now - max(chain.asked_s, self._resumed_s) > LOST_S:
                 raise chain.lacking()
-            age_s = max(age_s, now - chain.asked_s)
+            age_s = max(age_s, min(now - chain.asked_s, LOST_S))
             position = chain.position_rad
             if position is None:
                 raise chain.lacking()

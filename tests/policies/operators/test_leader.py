@@ -113,10 +113,33 @@ def test_a_chain_that_fails_ages_and_is_then_given_up(raw, fault, error, message
     clock.now_s += 0.1
     assert leader.read().age_s < 0.15
     raw.fault = fault
-    clock.now_s += 0.1
-    leader.read()
-    clock.now_s += 1.1
+    for _ in range(2):
+        clock.now_s += 0.4
+        leader.read()
+    clock.now_s += 0.4
     with pytest.raises(error, match=message):
+        leader.read()
+    leader.close()
+
+
+def test_a_pause_without_readings_is_no_silence(raw, monkeypatch):
+    """As between two episodes. At 57,600 baud no answer comes within the first reading after it."""
+    clock = Clock()
+    leader = Leader(raw.path, gripper_deg=(200, 100), clock=clock)
+    monkeypatch.setattr("dual_ur10.policies.operators.leader._WAIT_S", 0.0)
+    clock.now_s += 5.0
+    assert leader.read().age_s == 1.0  # nothing moves by it
+    monkeypatch.setattr("dual_ur10.policies.operators.leader._WAIT_S", 0.2)
+    clock.now_s += 0.04
+    assert leader.read().age_s < 0.05
+    raw.fault = "silent"
+    clock.now_s += 5.0
+    leader.read()
+    for _ in range(2):
+        clock.now_s += 0.4
+        leader.read()
+    clock.now_s += 0.4
+    with pytest.raises(DeviceSilentError):
         leader.read()
     leader.close()
 

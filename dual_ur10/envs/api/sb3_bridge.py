@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import gymnasium as gym
@@ -11,14 +11,16 @@ from numpy.typing import NDArray
 
 from dual_ur10.envs.api.two_agents import AgentSplitter, agent_spaces, check_options
 from dual_ur10.envs.api.vector_env import DualArmVectorEnv
+from dual_ur10.envs.core.ends import early_end
 from dual_ur10.envs.core.options import EnvOptions, check_count
-from dual_ur10.envs.core.setup import check_for_controllers
+from dual_ur10.envs.core.setup import REFUSAL, check_for_controllers
+from dual_ur10.envs.tasks.task import FINISH
 from dual_ur10.errors import ActionError, MissingExtraError, SettingsError
 from dual_ur10.sim2real.cell.named_cell import resolve_cell
 from ur_core.types import Array
 
 try:
-    from stable_baselines3.common.vec_env import VecEnv
+    from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 except ImportError as error:
     raise MissingExtraError("stable-baselines3", "train", "the vector environment for it") from error
 
@@ -290,6 +292,54 @@ class TwoAgentVecEnv(CellsVecEnv):
 
     def _infos_of(self, info: dict[str, Any], terms: Array | None) -> list[dict[str, Any]]:
         return list(self._splitter.infos(info, terms))
+
+
+class RewardDifferences(VecEnvWrapper):
+    """Rewards for what a step has changed.
+
+    The terms of a state, added up to s, are replaced by their change since the step before. With the discount g the
+    return of the changes is 1 - g times that of s, less what the first state earns. The same policy is best, but for
+    two exceptions. A finish, multiplied by 1 - g, counts for no more than a state with s = 1 that lasts for ever. A
+    refused motion costs the time in which nothing changes, and 1 - g times a part of its own term: all of it from the
+    beginning would keep the tools away from the table long before they can grasp. An end without success takes back
+    what was earned.
+
+    Args:
+        env: Vector environment of the package.
+        gamma: Discount of the learner, below 1.
+        refusals: Function that returns the ratio of a refused motion's term that counts now.
+
+    Raises:
+        SettingsError: `gamma` is not from 0 to below 1, at which differences leave nothing to learn.
+    """
+
+    def __init__(self, env: VecEnv, gamma: float, refusals: Callable[[], float] = lambda: 0.0) -> None:
+        if not 0.0 <= gamma < 1.0:
+            raise SettingsError(f"gamma is {gamma}: differences of the reward need a discount from 0 to below 1")
+        super().__init__(env)
+        self._refusals = refusals
+        weights = env.get_attr("core")[0].weights
+        self._finish, self._refusal = weights.get(FINISH, 0.0), weights.get(REFUSAL, 0.0)
+        self._gamma, self._before = gamma, np.full(env.num_envs, np.nan)
+
+    def reset(self) -> Any:
+        """Begin new episodes in all cells and return the observations, (rows, size)."""
+        self._before[:] = np.nan
+        return self.venv.reset()
+
+    def step_wait(self) -> tuple[Any, Array, NDArray[np.bool_], list[dict[str, Any]]]:
+        """Advance all cells by one policy period, as the environment does, with other rewards."""
+        observation, reward, over, infos = self.venv.step_wait()
+        named = f"reward/{FINISH}", f"reward/{REFUSAL}"
+        finish, refusal = np.array([[info.get(name, 0.0) for name in named] for info in infos]).T
+        finish *= self._finish
+        refusal *= self._refusal
+        state = reward - finish - refusal
+        lost = [bool(each) and early_end(info) != "" for each, info in zip(over, infos, strict=True)]
+        change = np.where(np.isnan(self._before), 0.0, state - self._before) - np.where(lost, self._gamma * state, 0.0)
+        self._before = np.where(over, np.nan, state)
+        once = np.minimum((1.0 - self._gamma) * finish, 1.0) + (1.0 - self._gamma) * self._refusals() * refusal
+        return observation, change + once, over, infos
 
 
 def _row(value: Any, row: int) -> Any:

@@ -99,7 +99,7 @@ class Reinforcement(StrictJson):
             an arm needs the way to its goal alone, but what it will earn depends on the phase of the task.
         reward: Reward of each arm's row, unless one network acts for both ("joint"): that of both arms, or its own.
         differences: Learn from the change of the reward at each step instead of the reward; see
-            `dual_ur10.policies.training.models.RewardDifferences`. What a single action has changed is then not hidden
+            `dual_ur10.envs.api.sb3_bridge.RewardDifferences`. What a single action has changed is then not hidden
             under what earlier ones have earned.
         refusals: With differences: ratio of the reward's term of refused motions that counts at the end of the
             training. It grows linearly from 0; with 1, they count as in the task at the end.

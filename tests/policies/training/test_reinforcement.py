@@ -11,13 +11,12 @@ from scipy.stats import norm
 pytest.importorskip("stable_baselines3")
 
 from dual_ur10 import policies
-from dual_ur10.envs.api.sb3_bridge import JointVecEnv, TwoAgentVecEnv
+from dual_ur10.envs.api.sb3_bridge import JointVecEnv, RewardDifferences, TwoAgentVecEnv
 from dual_ur10.errors import SettingsError, TrainingError, UnknownNameError
 from dual_ur10.policies.learned import checkpoint
 from dual_ur10.policies.learned.signature import view_of
 from dual_ur10.policies.training import folder, models, state
 from dual_ur10.policies.training import reinforcement as reinforce
-from dual_ur10.policies.training.models import RewardDifferences
 from dual_ur10.policies.training.settings import defaults
 from dual_ur10.policies.training.train import resume, train
 from tests.policies.training.small import small

@@ -7,8 +7,8 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
-from dual_ur10.envs.api.sb3_bridge import TwoAgentVecEnv
-from dual_ur10.policies.training.models import RewardDifferences
+from dual_ur10.envs.api.sb3_bridge import RewardDifferences, TwoAgentVecEnv
+from dual_ur10.errors import SettingsError
 
 GAMMA, N = 0.9, 2
 
@@ -111,3 +111,9 @@ def test_a_refused_motion_costs_its_time_and_a_part_of_its_term(refusals):
         assert np.allclose(change, asked, rtol=0, atol=1e-12)
         before = state
     assert refused > 0
+
+
+@pytest.mark.parametrize("gamma", [1.0, -0.1, float("nan")])
+def test_a_discount_without_effect_is_refused(gamma):
+    with pytest.raises(SettingsError, match="below 1"):
+        RewardDifferences(None, gamma)

@@ -113,8 +113,8 @@ def act(policy: Policy, observation: Any, env: Any, dtype: Any) -> Array:
     try:
         offer_time(policy, env)
         action = np.asarray(policy(observation), dtype=dtype)
-        if isinstance(policy, Commanded):
-            env.unwrapped.core.commander = policy.commander
+        nobody = np.zeros(2, dtype=bool)
+        env.unwrapped.core.commander = policy.commander if isinstance(policy, Commanded) else nobody
         return action
     except Exception as error:
         # Real arms must not keep moving without a policy.

@@ -14,6 +14,7 @@ import pytest
 import dual_ur10  # noqa: F401 - registers the ids
 from dual_ur10.errors import RecordingError, SettingsError
 from dual_ur10.policies.evaluation.minari_export import to_minari
+from dual_ur10.policies.evaluation.rollout import rollout
 from dual_ur10.sim2real.cell.cell import CellStep
 from dual_ur10.sim2real.recording.header import describe
 from dual_ur10.sim2real.recording.hook import RecordHook
@@ -29,6 +30,22 @@ from ur_core.kinematics.ur10 import NOMINAL_DH
 INTERRUPTS = 1400 if SOAK else 50  # at so many calls within the recording of three steps
 
 TASKS = ("SineTracking", "Handover")
+
+
+class Still:
+    """Policy that keeps both arms at rest."""
+
+    def reset(self):
+        pass
+
+    def __call__(self, observation):
+        return np.zeros(12)
+
+
+class Led(Still):
+    """Person who commands the left arm."""
+
+    commander = np.array([True, False])
 
 
 def actions(env, count, seed=5):
@@ -222,6 +239,14 @@ def test_several_cells_cannot_be_recorded(tmp_path):
         core.attach(RecordHook(record, core.cell))
     record.close()
     core.close()
+
+
+def test_an_episode_of_a_policy_after_that_of_a_person_is_not_the_persons(tmp_path):
+    with gym.make("DualUR10/SineTracking-v0", duration_s=0.12, record=str(tmp_path)) as env:
+        for policy in (Led(), Still()):
+            rollout(env, policy, seed=0)
+    run = read_run(next(tmp_path.iterdir()))
+    assert [each.commander.any(axis=0).tolist() for each in run.episodes] == [[True, False], [False, False]]
 
 
 @pytest.mark.parametrize("view", ["state", "goals"])

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from dual_ur10.errors import PolicyServerError
+from dual_ur10.policies.remote import wire
 from dual_ur10.policies.remote.wire import DTYPES, packed, unpacked
 
 numbers = st.sampled_from(sorted(DTYPES)).flatmap(
@@ -33,6 +34,30 @@ def same(one, other):
 @given(value=content)
 def test_what_is_sent_is_received(value):
     assert same(unpacked(packed(value), "x"), value)
+
+
+@given(value=content)
+def test_values_are_counted_as_they_are_read(value):
+    def count(each):
+        if isinstance(each, dict):
+            return 1 + sum(count(one) + count(other) for one, other in each.items())
+        return 1 + sum(map(count, each)) if isinstance(each, list) else 1
+
+    message = packed(value)
+    values = count(msgspec.msgpack.decode(message))
+    with pytest.MonkeyPatch.context() as patch:
+        for most in (values, values - 1):
+            patch.setattr(wire, "MOST_VALUES", most)
+            assert wire._has_many_values(message) == (most < values)
+
+
+@pytest.mark.parametrize(
+    "message", [b"\xdd\x00\x10\x00\x00" + bytes(2**20), b"\xdd\xff\xff\xff\xff", b"\xdf\x00\x02\x00\x01"]
+)
+def test_messages_of_many_values_are_refused_before_they_are_read(message, monkeypatch):
+    monkeypatch.setattr(msgspec.msgpack, "decode", lambda _: pytest.fail("it was read"))
+    with pytest.raises(PolicyServerError, match="more than 262144 values: send numbers as arrays"):
+        unpacked(message, "x")
 
 
 ARRAY = {b"__ndarray__": True, b"data": bytes(8), b"dtype": "<f4", b"shape": [2]}

@@ -140,6 +140,8 @@ class MotionLimits:
     robots: tuple[str, str] = ("ur10", "ur10")
 
     def __post_init__(self) -> None:
+        if not isinstance(self.robots, tuple | list) or len(self.robots) != len(ur10.ARMS):
+            raise SettingsError(f"robots of the limits are {self.robots!r:.200}: name the models of both arms")
         object.__setattr__(self, "robots", tuple(self.robots))
         for name in ("speed_rad_s", "lower_rad", "upper_rad"):
             object.__setattr__(self, name, _six(getattr(self, name)))

@@ -41,6 +41,8 @@ TICKS_S = (0.008, 0.002)
         ("acceleration_rad_s2", None),
         ("jerk_rad_s3", 10**400),
         ("tcp_speed_m_s", [0.1, 0.2]),
+        ("robots", 3),
+        ("robots", ("ur10",)),
         ("acceleration_rad_s2", 10.1),
         ("acceleration_rad_s2", -1.0),
         ("jerk_rad_s3", 2001.0),

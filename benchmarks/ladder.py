@@ -47,6 +47,8 @@ class Rung:
         starts: Ratios of the training's episodes that begin after stages.
         steps: Steps of a training by learner; others have those of `train`.
         short: Steps after which an episode of stock learners is truncated.
+        unseen: Fields that the policies of stock learners do not see.
+        differences: Stock learners earn what a step has changed.
     """
 
     task: str
@@ -54,6 +56,8 @@ class Rung:
     starts: dict[str, float] | None = None
     steps: dict[str, int]
     short: int = 500
+    unseen: tuple[str, ...] = ()
+    differences: bool = False
 
     def but(self, **changes: Any) -> Rung:
         """Return the rung with other keywords of the environment."""
@@ -69,20 +73,19 @@ _LIFT: Final = Rung(
 )
 _HANDOVER: Final = Rung(
     task="Handover",
-    keywords={**_GOALS, "policy_rate_hz": 12.5},
-    steps={"ppo": 5_000_000, "sac": 1_000_000},
-    short=250,
+    keywords=example.HANDOVER,
+    steps={"ppo": example.HANDOVER_STEPS, "sac": 1_000_000},
+    short=example.HANDOVER_SHORT,
+    unseen=example.HANDOVER_UNSEEN,
+    differences=True,
 )
-_HELD: Final = dataclasses.replace(
-    _HANDOVER,
-    starts={"lift": 0.1, "present": 0.1, "mutual_grasp": 0.1, "release": 0.1},
-    steps={"ppo": 2_000_000, "sac": 1_000_000},
-)
+_HELD: Final = dataclasses.replace(_HANDOVER, starts=example.HELD)
 _CARRY: Final = Rung(
     task="SyncCarry",
     keywords=example.CARRY,
     steps={"ppo": example.OBJECTS_STEPS["SyncCarry"], "sac": 500_000},
     short=example.OBJECTS_SHORT["SyncCarry"],
+    unseen=example.CARRY_UNSEEN,
 )
 
 
@@ -97,12 +100,13 @@ RUNGS: Final[dict[str, Rung]] = {
     "Handover-v0/lift/turned": _LIFT.but(action_mode="tcp_delta", object_turn_rad=0.5236),
     "Handover-v0/lift/progress": _LIFT.but(progress_weight=20.0),
     "SyncCarry-v0": _CARRY,
+    "SyncCarry-v0/all seen": dataclasses.replace(_CARRY, unseen=()),
     "SyncCarry-v0/no path speed": _CARRY.but(path_speed=False),
     "Handover-v0/held": _HELD,
-    "Handover-v0/held/progress": _HELD.but(progress_weight=20.0),
+    "Handover-v0/held/all seen": dataclasses.replace(_HELD, unseen=()),
+    "Handover-v0/held/rewards of states": dataclasses.replace(_HELD, differences=False),
     "Handover-v0/held/25 Hz": dataclasses.replace(_HELD.but(policy_rate_hz=25.0), short=500),
     "Handover-v0": _HANDOVER,
-    "Handover-v0/progress": _HANDOVER.but(progress_weight=20.0),
     "TrayBalance-v0": _led("TrayBalance"),
     "LidAndPlace-v0": _led("LidAndPlace"),
     "PegInsertion-v0": _led("PegInsertion"),
@@ -115,6 +119,7 @@ def climb(
 ) -> dict[str, dict[str, Any]]:
     """Run the trials that have no result yet, and return all that the folder has, by rung and learner."""
     seeds = list(seeds)
+    folder.mkdir(parents=True, exist_ok=True)
     for name in rungs:
         for learner in by:
             for seed in seeds:
@@ -186,6 +191,8 @@ def _stock(
         short=rung.short,
         curve=curve,
         starts=rung.starts,
+        unseen=rung.unseen,
+        differences=rung.differences,
         **rung.keywords,
     )
     found = example.measure(rung.task, algorithm, model, episodes, 0, **rung.keywords)

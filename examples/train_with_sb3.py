@@ -7,7 +7,9 @@ command that evaluates it.
 
 import argparse
 import json
+import math
 import time
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -16,8 +18,9 @@ import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import ConvertCallback, EveryNTimesteps
 from stable_baselines3.common.noise import NormalActionNoise
+from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
-from dual_ur10.envs.api.sb3_bridge import CellsVecEnv, JointVecEnv, TwoAgentVecEnv
+from dual_ur10.envs.api.sb3_bridge import CellsVecEnv, JointVecEnv, RewardDifferences, TwoAgentVecEnv, hide
 from dual_ur10.policies.learned import checkpoint
 from dual_ur10.policies.learned.from_sb3 import converted
 
@@ -70,8 +73,9 @@ OBJECTS_SETTINGS: dict[str, Any] = {
 CARRY: dict[str, Any] = {
     **OBJECTS,
     "path_speed": True,
-    "reward_weights": {"position": 2.0, "orientation": 0.5},
+    "reward_weights": {"reach": 2.0, "position": 2.0, "orientation": 0.5},
 }
+CARRY_UNSEEN = ("commanded_q_rad", "time_to_path_s", "progress")  # by the policy, which sees the way to its goal alone
 CARRY_SETTINGS: dict[str, Any] = {
     "learning_rate": lambda left: 1e-3 * left,
     "gamma": 0.9,
@@ -79,6 +83,13 @@ CARRY_SETTINGS: dict[str, Any] = {
     "batch_size": 512,
     "policy_kwargs": {"log_std_init": -1.6},
 }
+# Handover as a whole: each step earns what it has changed (`RewardDifferences`). Otherwise holding the block with both
+# arms for ever is nearly as good as handing it over. Some episodes begin where the script has come so far.
+HANDOVER: dict[str, Any] = {**OBJECTS, "policy_rate_hz": 12.5}
+HANDOVER_SHORT, HANDOVER_STEPS = 250, 1_500_000
+HANDOVER_UNSEEN = ("commanded_q_rad", "other_gripper_m", "role", "progress")
+HELD = {"lift": 0.1, "present": 0.1, "mutual_grasp": 0.1, "release": 0.1}
+GRIPPER_STD = 2.0  # times that of the tools: fingers move by centimetres before anything changes
 # Handover until the block is lifted: steps of the tools without turns, and half of the decisions.
 LIFT: dict[str, Any] = {
     "observation": "goals",
@@ -89,7 +100,7 @@ LIFT: dict[str, Any] = {
 }
 LIFT_SHORT, LIFT_STEPS = 100, 250_000
 OBJECTS_SHORT = {"SyncCarry": 900}  # of others 500
-OBJECTS_STEPS = {"SyncCarry": 600_000}  # of others 1,500,000
+OBJECTS_STEPS = {"SyncCarry": 200_000}  # of others 1,500,000
 
 
 def keywords_of(task: str) -> dict[str, Any]:
@@ -142,12 +153,15 @@ def train(
     short: int = 0,
     curve: list[dict[str, float]] | None = None,
     starts: dict[str, float] | None = None,
+    unseen: Iterable[str] = (),
+    differences: bool = False,
     **keywords: Any,
 ) -> tuple[BaseAlgorithm, int, float]:
     """Train, print the curve, and return the model, its steps, and the minutes without those of the checks.
 
     Every 0 means what is usual for the task, and so do no keywords of the environment. Episodes of the training alone
-    may begin after stages (`starts`). Points of the curve are appended to `curve`.
+    may begin after stages (`starts`). The policy does not see the fields `unseen`. With `differences` each step earns
+    what it has changed. Points of the curve are appended to `curve`.
     """
     keywords = keywords or keywords_of(task)
     torch.set_num_threads(1)  # the cells use the others
@@ -157,11 +171,19 @@ def train(
         most, usual = OBJECTS_STEPS.get(task, 1_500_000), OBJECTS_SHORT.get(task, 500)
     chosen = settings_of(task, algorithm) if settings is None else settings
     number, steps = number or CELLS[algorithm], steps or most
-    env = cells(task, algorithm, number, max_episode_steps=short or usual, starts=starts, **keywords)
+    env: VecEnv
+    env = made = cells(task, algorithm, number, max_episode_steps=short or usual, starts=starts, **keywords)
+    if differences:
+        chosen = {**chosen, "gae_lambda": 0.9}
+        env = VecNormalize(RewardDifferences(env, chosen["gamma"]), norm_obs=False, gamma=chosen["gamma"])
     rows = env.num_envs // number
     # It learns from episodes with this seed and those that follow.
     first_seed = 1_000_000_000 + 1_000_000 * seed
     model = getattr(stable_baselines3, algorithm)("MlpPolicy", env, seed=first_seed, device="cpu", **chosen)
+    hide(model, made.columns(unseen))
+    if differences:
+        with torch.no_grad():
+            model.policy.log_std[-1] += math.log(GRIPPER_STD)
     begin_s, checked_s = time.monotonic(), 0.0
 
     def check(*_: object) -> bool:
@@ -196,13 +218,18 @@ if __name__ == "__main__":
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", help="new folder of the checkpoint")
     args = parser.parse_args()
-    task, seen, steps, short = args.task, keywords_of(args.task), args.steps, 0
+    task, seen, steps, further = args.task, keywords_of(args.task), args.steps, dict[str, Any]()
     if args.lift:
-        task, seen, steps, short = "Handover", LIFT, steps or LIFT_STEPS, LIFT_SHORT
+        task, seen, steps, further = "Handover", LIFT, steps or LIFT_STEPS, {"short": LIFT_SHORT}
+    elif task == "SyncCarry":
+        further = {"unseen": CARRY_UNSEEN}
+    elif task == "Handover":
+        seen, steps = HANDOVER, steps or HANDOVER_STEPS
+        further = {"short": HANDOVER_SHORT, "starts": HELD, "unseen": HANDOVER_UNSEEN, "differences": True}
     if task != SINE and args.algorithm != "PPO":
         parser.error(f"{args.algorithm} has settings for {SINE} alone: choose PPO")
     folder = checkpoint.check_new(args.out or f"{task.lower()}_{args.algorithm.lower()}")
-    model, _, minutes = train(args.algorithm, args.seed, steps, task=task, short=short, **seen)
+    model, _, minutes = train(args.algorithm, args.seed, steps, task=task, **further, **seen)
     print(f"{minutes:.1f} min without the checks")
     if args.algorithm == "TD3":
         model.save(folder)  # a pickle: read only your own

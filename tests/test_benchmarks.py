@@ -117,14 +117,15 @@ def test_a_ladder_goes_on_where_it_was_ended(monkeypatch, tmp_path):
     ladder = importlib.import_module("ladder")
     sine = ladder.RUNGS["SineTracking-v0"].but(duration_s=0.4)
     monkeypatch.setitem(ladder.RUNGS, "SineTracking-v0", dataclasses.replace(sine, steps={"PPO": 128}, short=5))
-    found = ladder.climb(tmp_path, ["SineTracking-v0"], ["ppo"], [3], episodes=2)
-    row = json.loads((tmp_path / "SineTracking-v0-ppo-3.json").read_text())
+    folder = tmp_path / "trials"  # that is not there yet
+    found = ladder.climb(folder, ["SineTracking-v0"], ["ppo"], [3], episodes=2)
+    row = json.loads((folder / "SineTracking-v0-ppo-3.json").read_text())
     assert (row["of"], row["steps"]) == (2, 1024)
     assert found["SineTracking-v0"]["ppo"]["successes"] == [row["successes"]]
-    assert policies.load(tmp_path / "SineTracking-v0-ppo-3", "SineTracking", **sine.keywords)
+    assert policies.load(folder / "SineTracking-v0-ppo-3", "SineTracking", **sine.keywords)
     seeds = []
     monkeypatch.setattr(ladder, "run", lambda rung, learner, seed, *_: {**row, "seed": seeds.append(seed) or seed})
-    again = ladder.climb(tmp_path, ["SineTracking-v0"], ["ppo"], [2, 3, 4], episodes=2)
+    again = ladder.climb(folder, ["SineTracking-v0"], ["ppo"], [2, 3, 4], episodes=2)
     assert seeds == [2, 4]
     assert again["SineTracking-v0"]["ppo"]["seeds"] == [2, 3, 4]
     assert len(again["SineTracking-v0"]["ppo"]["minutes"]) == 3

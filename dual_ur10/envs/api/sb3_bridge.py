@@ -20,6 +20,8 @@ from dual_ur10.sim2real.cell.named_cell import resolve_cell
 from ur_core.types import Array
 
 try:
+    import torch
+    from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 except ImportError as error:
     raise MissingExtraError("stable-baselines3", "train", "the vector environment for it") from error
@@ -216,6 +218,19 @@ class CellsVecEnv(VecEnv):
         """Return False for each row: rows are never wrapped one by one."""
         return [False] * len(self._rows(indices))
 
+    def columns(self, fields: Iterable[str]) -> list[int]:
+        """Return the columns of fields in an observation of one row.
+
+        Args:
+            fields: Names of fields of an arm, as on the page of the task; with `JointVecEnv` those of both arms.
+
+        Raises:
+            UnknownNameError: There is no such field.
+        """
+        layout = self.cells.core.layout
+        found, arms = layout.indices(fields), (self.observation_space.shape or (0,))[0] // layout.size
+        return [arm * layout.size + index for arm in range(arms) for index in found]
+
     def _rows(self, indices: Indices) -> list[int]:
         return list(self._get_indices(indices))
 
@@ -340,6 +355,32 @@ class RewardDifferences(VecEnvWrapper):
         self._before = np.where(over, np.nan, state)
         once = np.minimum((1.0 - self._gamma) * finish, 1.0) + (1.0 - self._gamma) * self._refusals() * refusal
         return observation, change + once, over, infos
+
+
+def hide(model: BaseAlgorithm, columns: Iterable[int]) -> None:
+    """Hide columns of the observation from a policy of Stable-Baselines3, and not from its value functions.
+
+    With fewer values a policy is found in fewer steps, but what an arm will earn depends on the phase of the task, too
+    (L. Pinto et al., "Asymmetric Actor Critic for Image-Based Robot Learning", RSS 2018). The weights of these inputs
+    become zero, and stay so.
+
+    Args:
+        model: PPO or SAC with an `MlpPolicy`, before its training.
+        columns: Columns, as of `CellsVecEnv.columns`.
+
+    Raises:
+        SettingsError: The policy has no network of linear layers of its own.
+    """
+    policy: Any = model.policy
+    try:
+        layer = policy.actor.latent_pi[0] if hasattr(policy, "actor") else policy.mlp_extractor.policy_net[0]
+        mask = torch.ones_like(layer.weight)
+    except (AttributeError, IndexError):
+        raise SettingsError(f"{type(policy).__name__} has no layers to hide columns from: use MlpPolicy") from None
+    mask[:, list(columns)] = 0.0
+    with torch.no_grad():
+        layer.weight.mul_(mask)
+    layer.weight.register_hook(lambda gradient: gradient * mask)
 
 
 def _row(value: Any, row: int) -> Any:

@@ -240,7 +240,7 @@ class Core:
                     ARMS[setup.options.held_arm],
                 )
         self._dtype = setup.options.dtype
-        layout = self.task.layout if self._view is None else self._view.layout
+        self.layout = layout = self.task.layout if self._view is None else self._view.layout
         low, high = layout.low.astype(self._dtype), layout.high.astype(self._dtype)
         self.observation_space = spaces.Box(low, high, dtype=self._dtype.type)
         if record is not None:

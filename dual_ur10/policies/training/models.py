@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dual_ur10.envs.api.sb3_bridge import RewardDifferences
+from dual_ur10.envs.api.sb3_bridge import RewardDifferences, hide
 from dual_ur10.errors import MissingExtraError, TrainingError
 from dual_ur10.policies.learned.learned_policy import LearnedPolicy
 from dual_ur10.policies.training.settings import Reinforcement
@@ -74,11 +74,9 @@ def make(
     around.obs_rms = moments
     if algorithm == "ppo":
         model: Any = _ppo(around, settings, seed, share)
-        first = model.policy.mlp_extractor.policy_net[0]
     else:
         model = _sac(around, settings, seed, share)
-        first = model.policy.actor.latent_pi[0]
-    _hide(first, unseen)
+    hide(model, unseen)
     return model, around
 
 
@@ -128,15 +126,6 @@ def _sac(env: VecEnv, settings: Reinforcement, seed: int, share: Callable[[], fl
             head.weight.mul_(_NEAR_ZERO)
             head.bias.fill_(bias)
     return model
-
-
-def _hide(layer: Any, unseen: Sequence[int]) -> None:
-    """Make the weights of these inputs of a layer zero, and keep them so."""
-    mask = torch.ones_like(layer.weight)
-    mask[:, list(unseen)] = 0.0
-    with torch.no_grad():
-        layer.weight.mul_(mask)
-    layer.weight.register_hook(lambda gradient: gradient * mask)
 
 
 def explore(model: Any, settings: Reinforcement, share: float, grippers: int) -> None:

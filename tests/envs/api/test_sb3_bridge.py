@@ -21,7 +21,7 @@ stable_baselines3 = pytest.importorskip("stable_baselines3", reason="needs the e
 from stable_baselines3.common.monitor import Monitor  # noqa: E402  # skipped above
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize  # noqa: E402  # as above
 
-from dual_ur10.envs.api.sb3_bridge import JointVecEnv, TwoAgentVecEnv  # noqa: E402  # as above
+from dual_ur10.envs.api.sb3_bridge import JointVecEnv, TwoAgentVecEnv, hide  # noqa: E402  # as above
 
 
 def zeros(env):
@@ -242,3 +242,56 @@ def test_observations_have_the_type_of_their_space(kind):
         found, expected = env.step(zeros(env))[0], control.step(zeros(control))[0]
     for each in (env, control):
         each.close()
+
+
+@pytest.mark.parametrize("kind", [JointVecEnv, TwoAgentVecEnv])
+def test_columns_are_those_of_the_fields(kind):
+    env = kind("Handover", 2, threads=1, observation="goals")
+    env.seed(0)
+    row = env.reset()[0]
+    layout = env.cells.core.layout
+    arms = row.reshape(-1, layout.size)
+    for name, value in (("role", [1.0 / 1.2]), ("goal_opening", None)):
+        found = row[env.columns([name])]
+        assert found.tolist() == arms[:, layout.indices([name])].ravel().tolist()
+        assert len(found) == len(arms)
+        assert value is None or np.allclose(found[:1], value)
+    assert env.columns(["role", "progress"]) == sorted(env.columns(["progress"]) + env.columns(["role"]))
+    with pytest.raises(errors.UnknownNameError, match="rol"):
+        env.columns(["rol"])
+    env.close()
+
+
+@pytest.mark.parametrize("algorithm", ["PPO", "SAC"])
+def test_hidden_columns_change_values_and_no_actions(algorithm):
+    """Before and after updates of the network."""
+    torch = pytest.importorskip("torch")
+    env = TwoAgentVecEnv("Handover", 2, threads=1, observation="goals")
+    settings = {"n_steps": 8, "batch_size": 16} if algorithm == "PPO" else {"learning_starts": 8}
+    model = getattr(stable_baselines3, algorithm)("MlpPolicy", env, seed=0, device="cpu", **settings)
+    hidden = env.columns(["role", "progress"])
+    hide(model, hidden)
+    rng = np.random.default_rng(0)
+    for _ in range(2):
+        seen = rng.uniform(-1.0, 1.0, (8, env.observation_space.shape[0])).astype(np.float32)
+        other = seen.copy()
+        other[:, hidden] = rng.uniform(-1.0, 1.0, (8, len(hidden)))
+        assert np.array_equal(*(model.predict(each, deterministic=True)[0] for each in (seen, other)))
+        first, second = (torch.as_tensor(each) for each in (seen, other))
+        action = torch.zeros((8, *env.action_space.shape))
+        with torch.no_grad():
+            if algorithm == "PPO":
+                values = model.policy.predict_values(first), model.policy.predict_values(second)
+            else:
+                values = model.critic(first, action)[0], model.critic(second, action)[0]
+        assert not torch.equal(*values)
+        model.learn(64)
+    env.close()
+
+
+def test_a_policy_without_layers_of_its_own_is_refused():
+    env = TwoAgentVecEnv("Handover", 1, threads=1)
+    model = stable_baselines3.PPO("MlpPolicy", env, n_steps=8, batch_size=8, policy_kwargs={"net_arch": []})
+    with pytest.raises(errors.SettingsError, match="MlpPolicy"):
+        hide(model, [0])
+    env.close()

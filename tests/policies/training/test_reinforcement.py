@@ -81,20 +81,6 @@ def test_a_policy_does_not_see_the_unseen_fields(tmp_path, algorithm, agents):
         assert np.array_equal(policy(other), action) == (index in (31, 32, 33, 78, 79, 80)), index
 
 
-def test_a_value_function_sees_the_unseen_fields():
-    env = JointVecEnv("SineTracking", 1, threads=1)
-    model, around = models.make("ppo", env, small("ppo").settings, 0, unseen=[3])
-    observation = around.reset()
-    other = observation + 0.5 * (np.arange(observation.shape[1]) == 3).astype(np.float32)
-    actions, values = [], []
-    for each in (observation, other):
-        actions.append(model.predict(each, deterministic=True)[0])
-        values.append(model.policy.predict_values(model.policy.obs_to_tensor(each)[0]).item())
-    env.close()
-    assert np.array_equal(*actions)
-    assert values[0] != values[1]
-
-
 @pytest.mark.parametrize("reward", ["shared", "individual"])
 def test_each_arm_learns_from_the_reward_that_is_asked_for(tmp_path, monkeypatch, reward):
     """ "individual" is an arm's own; "shared" that of both, which is the mean of them."""

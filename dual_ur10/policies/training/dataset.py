@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -25,6 +26,8 @@ from dual_ur10.sim2real.recording.header import describe
 from dual_ur10.sim2real.recording.run import ArmLog, Episode, Run
 from ur_core.kinematics.ur10 import ARMS
 
+_LOG: Final = logging.getLogger(__name__)
+
 _SAME: Final = ("env_id", "observation", "action", "rate", "actions", "robot")
 
 
@@ -45,7 +48,8 @@ def collect(
 ) -> Any:
     """Run episodes of a policy and make a Minari dataset of them.
 
-    The format is that of `dual_ur10.policies.evaluation.minari_export.to_minari`.
+    The format is that of `dual_ur10.policies.evaluation.minari_export.to_minari`. If Ctrl-C or an error ends it early,
+    the dataset has the episodes that had ended.
 
     Args:
         env_id: Id of the environment, or its short name.
@@ -91,19 +95,30 @@ def collect(
             seed=seed,
             policy=str(policy),
         )
+
+        def write() -> Any:
+            run = Run(header, (ArmLog({}, {}), ArmLog({}, {})), found, [], True)
+            try:
+                return to_minari(
+                    run, dataset_id, author=author, author_email=author_email, code_permalink=code_permalink
+                )
+            except DualUR10Error as error:
+                raise DatasetError(str(error)) from error
+
         found: list[Episode] = []
-        while len(found) < episodes:
-            count = min(env.num_envs, episodes - len(found))
-            found += _batch(env, actor, range(seed + len(found), seed + len(found) + env.num_envs), count, len(found))
-            on_progress(len(found), sum(bool(each.success) for each in found))
+        try:
+            while len(found) < episodes:
+                count = min(env.num_envs, episodes - len(found))
+                _batch(env, actor, range(seed + len(found), seed + len(found) + env.num_envs), count, found)
+                on_progress(len(found), sum(bool(each.success) for each in found))
+        except BaseException:
+            if found:
+                write()
+                _LOG.warning("collecting ended early: %s has the %d episodes that had ended", dataset_id, len(found))
+            raise
     finally:
         env.close()
-    nothing = ArmLog({}, {})
-    run = Run(header, (nothing, nothing), found, [], True)
-    try:
-        return to_minari(run, dataset_id, author=author, author_email=author_email, code_permalink=code_permalink)
-    except DualUR10Error as error:
-        raise DatasetError(str(error)) from error
+    return write()
 
 
 def check_new(dataset_id: str) -> None:
@@ -122,9 +137,9 @@ def check_new(dataset_id: str) -> None:
         raise DatasetError(f"the dataset {dataset_id} exists, and nothing is overwritten: choose another name")
 
 
-def _batch(env: Any, actor: Any, seeds: range, count: int, number: int) -> list[Episode]:
-    """Run an episode in every row, and return those of the first `count` rows."""
-    n = env.num_envs
+def _batch(env: Any, actor: Any, seeds: range, count: int, found: list[Episode]) -> None:
+    """Run an episode in every row, and add those of the first `count` rows to `found`, as far as they have ended."""
+    n, number = env.num_envs, len(found)
     rows: list[dict[str, list[Any]]] = [
         {name: [] for name in ("observation", "action", "reward", "terminated", "truncated", "gated", "time_s")}
         for _ in range(n)
@@ -139,28 +154,33 @@ def _batch(env: Any, actor: Any, seeds: range, count: int, number: int) -> list[
     for row in range(count):
         rows[row]["observation"].append(observation[row].copy())
     period_s = env.core.timing.period_s
-    while live.any():
-        action = np.asarray(actor(observation), dtype=env.single_action_space.dtype)
-        observation, reward, terminated, truncated, info = env.step(action)
-        over = terminated | truncated
-        for row in np.flatnonzero(live).tolist():
-            own = rows[row]
-            own["observation"].append(observation[row].copy())
-            own["action"].append(action[row].copy())
-            own["reward"].append(float(reward[row]))
-            own["terminated"].append(bool(terminated[row]))
-            own["truncated"].append(bool(truncated[row]))
-            own["gated"].append("safety" in info and bool(info["_safety"][row]))
-            own["time_s"].append(period_s * len(own["reward"]))
-            if over[row]:
-                success[row] = bool(info["is_success"][row])
-                ended_by[row] = early_end(details_of(info, row))
-        live &= ~over
-        if over.any() and live.any():
-            observation, _ = env.reset(options={"reset_mask": over})
-            if isinstance(actor, EpisodeAware):
-                actor.begin(np.flatnonzero(over), [seeds[row] for row in np.flatnonzero(over).tolist()])
-    return [_episode(rows[row], seeds[row], number + row, bool(success[row]), ended_by[row]) for row in range(count)]
+    try:
+        while live.any():
+            action = np.asarray(actor(observation), dtype=env.single_action_space.dtype)
+            observation, reward, terminated, truncated, info = env.step(action)
+            over = terminated | truncated
+            for row in np.flatnonzero(live).tolist():
+                own = rows[row]
+                own["observation"].append(observation[row].copy())
+                own["action"].append(action[row].copy())
+                own["reward"].append(float(reward[row]))
+                own["terminated"].append(bool(terminated[row]))
+                own["truncated"].append(bool(truncated[row]))
+                own["gated"].append("safety" in info and bool(info["_safety"][row]))
+                own["time_s"].append(period_s * len(own["reward"]))
+                if over[row]:
+                    success[row] = bool(info["is_success"][row])
+                    ended_by[row] = early_end(details_of(info, row))
+            live &= ~over
+            if over.any() and live.any():
+                observation, _ = env.reset(options={"reset_mask": over})
+                if isinstance(actor, EpisodeAware):
+                    actor.begin(np.flatnonzero(over), [seeds[row] for row in np.flatnonzero(over).tolist()])
+    finally:
+        found += [
+            _episode(rows[row], seeds[row], number + row, bool(success[row]), ended_by[row])
+            for row in np.flatnonzero(~live[:count]).tolist()
+        ]
 
 
 def _episode(own: dict[str, list[Any]], seed: int, number: int, success: bool, ended_by: str) -> Episode:

@@ -11,6 +11,7 @@ import pytest
 
 from dual_ur10 import policies
 from dual_ur10.envs.api.agent_dict import AgentDictWrapper
+from dual_ur10.envs.api.vector_env import DualArmVectorEnv
 from dual_ur10.errors import ActionError, DatasetError, SettingsError
 from dual_ur10.policies import evaluate
 from dual_ur10.policies.learned.signature import view_of
@@ -53,6 +54,47 @@ def test_minari_alone_reads_a_dataset():
     metadata = list(dataset.storage.get_episode_metadata(range(3)))
     assert [each["success"] for each in metadata] == ["true"] * 3
     assert [each["seed"] for each in metadata] == [4, 5, 6]
+
+
+@pytest.mark.parametrize("failure", [KeyboardInterrupt, RuntimeError])
+@pytest.mark.parametrize("after", [60, 120])
+def test_the_end_of_a_collection_keeps_the_episodes_that_had_ended(monkeypatch, failure, after):
+    whole = made("ur10/sine/whole-v0", env_kwargs={"duration_s": 2.0})
+    policy, calls = policies.load("scripted", SINE), []
+
+    def failing(observation):
+        calls.append(1)
+        if len(calls) > after:
+            raise failure
+        return policy(observation)
+
+    failing.reset = policy.reset
+    monkeypatch.setattr("dual_ur10.policies.training.dataset.load_named", lambda *_: failing)
+    with pytest.raises(failure):
+        made(episodes=5, env_kwargs={"duration_s": 2.0})
+    found = list(minari.load_dataset("ur10/sine/scripted-v0").iterate_episodes())
+    assert len(found) == 2 * (after // 50)
+    for episode, wanted in zip(found, whole.iterate_episodes(), strict=False):
+        assert np.array_equal(episode.observations["left"], wanted.observations["left"])
+
+
+def test_an_interrupt_keeps_the_episodes_that_ended_before_the_others_of_their_batch(monkeypatch):
+    step, calls = DualArmVectorEnv.step, []
+
+    def uneven(self, action):
+        calls.append(1)
+        observation, reward, terminated, truncated, info = step(self, action)
+        if len(calls) == 20:
+            raise KeyboardInterrupt
+        return observation, reward, terminated | (np.arange(2) == 1) & (len(calls) == 10), truncated, info
+
+    monkeypatch.setattr(DualArmVectorEnv, "step", uneven)
+    with pytest.raises(KeyboardInterrupt):
+        made()
+    dataset = minari.load_dataset("ur10/sine/scripted-v0")
+    assert (dataset.total_episodes, dataset.total_steps) == (1, 10)
+    (metadata,) = dataset.storage.get_episode_metadata([0])
+    assert metadata["seed"] == 5
 
 
 def test_the_recovered_environment_has_the_spaces_of_the_data_and_repeats_them():

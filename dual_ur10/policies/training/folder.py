@@ -196,10 +196,10 @@ class TrainingFolder:
             except ImportError:
                 pass
             # A resumed training has a table of its own: the logger overwrites what is there.
-            before = len(list(self.path.glob("progress*.csv")))
-            kept = self.path / f"progress-{before}.csv"
             if (self.path / "progress.csv").exists():
-                (self.path / "progress.csv").rename(kept)
+                numbers = (each.stem.removeprefix("progress-") for each in self.path.glob("progress-*.csv"))
+                last = max((int(each) for each in numbers if each.isdecimal()), default=0)
+                (self.path / "progress.csv").rename(self.path / f"progress-{last + 1}.csv")
             self._logger = configure(str(self.path), formats)
         return self._logger
 

@@ -57,6 +57,15 @@ def test_the_same_seed_gives_the_same_bits(tmp_path, drawn, algorithm, agents):
     assert drawn[:2] == [tmp_path / "a" / "curve.png", tmp_path / "b" / "curve.png"]
 
 
+def test_a_table_of_progress_is_kept_under_a_name_of_its_own(tmp_path):
+    train(small("ppo", steps=64), tmp_path / "a")
+    (tmp_path / "a" / "progress-2.csv").write_text("two")  # of which the first was removed
+    first = (tmp_path / "a" / "progress.csv").read_text()
+    resume(tmp_path / "a", steps=128)
+    assert (tmp_path / "a" / "progress-3.csv").read_text() == first
+    assert (tmp_path / "a" / "progress-2.csv").read_text() == "two"
+
+
 def test_ppo_learns_from_the_concise_view(tmp_path):
     found = train(small("ppo", "shared", steps=64, keywords={"observation": "goals"}), tmp_path / "a")
     policy = policies.load(found, SINE, observation="goals", duration_s=1.0)

@@ -154,12 +154,19 @@ def write_trajectory(path: str | Path, trajectory: JointTrajectory) -> Path:
         raise TrajectoryError(f"cannot write {path}: the suffix must be .json or .csv")
     text = _csv_of(trajectory) if kind == "csv" else _json_of(trajectory)
     try:
-        with path.open("x", encoding="utf-8", newline="") as file:
-            file.write(text)
+        file = path.open("x", encoding="utf-8", newline="")
     except FileExistsError:
         raise TrajectoryError(f"{path} exists: choose another name, or remove it") from None
     except OSError as error:
         raise TrajectoryError(f"cannot write {path}: {error}") from error
+    try:
+        with file:
+            file.write(text)
+    except BaseException as error:  # a part of a CSV file reads as a shorter trajectory
+        path.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            raise TrajectoryError(f"cannot write {path}: {error}") from error
+        raise
     return path
 
 

@@ -1,6 +1,8 @@
 """Files of trajectories: what is written is read, messages of ROS are read, and anything else is named."""
 
 import json
+import resource
+import signal
 
 import numpy as np
 import pytest
@@ -77,6 +79,20 @@ def test_files_are_written_once(tmp_path, suffix):
     with pytest.raises(TrajectoryError, match="exists"):
         write_trajectory(path, made(1, 0, ("left",)))
     assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize("suffix", [".json", ".csv"])
+def test_a_full_disk_leaves_no_part_of_a_file(tmp_path, suffix):
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # a write beyond the limit fails with EFBIG
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1]))
+        with pytest.raises(TrajectoryError, match="cannot write"):
+            write_trajectory(tmp_path / f"points{suffix}", made(0, 2, ("left", "right")))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_message_of_ros_is_read_whatever_the_order_of_its_joints():

@@ -11,7 +11,7 @@ import numpy as np
 import pydantic
 import websockets.sync.client
 
-from dual_ur10.errors import PolicyServerError, SettingsError
+from dual_ur10.errors import PolicyError, PolicyServerError, SettingsError
 from dual_ur10.policies.chunks.chunk_policy import CHUNK_MODES, checked_chunk
 from dual_ur10.policies.chunks.executor import executor_for
 from dual_ur10.policies.remote.key_mapping import Mapped, WireMapping
@@ -264,15 +264,21 @@ class RemoteSteps:
         self.source.close()
 
     def __call__(self, observation: Any) -> Array:
-        """Return the float32 action for an observation, or one for each row of a batch of observations.
+        """Return the float32 action for an observation, or for a batch of one.
 
         Raises:
+            PolicyError: There are several observations: the server would take them for those of one episode.
             PolicyServerError: The server is gone, does not answer, or answers with something else.
             ChunkError: It returned no action.
         """
         if np.ndim(observation) != 2:
             return self._action(observation)
-        return np.stack([self._action(row) for row in observation])
+        if len(observation) != 1:
+            raise PolicyError(
+                f"{self.__name__} was asked about {len(observation)} cells at once, and its server may keep the state "
+                "of one episode: connect once for each cell"
+            )
+        return self._action(observation[0])[None]
 
     def _action(self, observation: Any) -> Array:
         found = self.source.chunk(observation, 0.0)

@@ -12,7 +12,7 @@ import websockets.sync.client
 
 import dual_ur10  # noqa: F401  # registers the environments
 from dual_ur10.envs.core.setup import EnvSetup
-from dual_ur10.errors import ChunkError, DualUR10Error, PolicyServerError, SettingsError
+from dual_ur10.errors import ChunkError, DualUR10Error, PolicyError, PolicyServerError, SettingsError
 from dual_ur10.policies import load, make, rollout
 from dual_ur10.policies.chunks.executor import ChunkExecutor
 from dual_ur10.policies.remote import policy_server, remote_policy
@@ -42,6 +42,17 @@ def test_a_served_checkpoint_acts_as_the_checkpoint_itself():
         env.close()
         policy.close()
     assert np.array_equal(far.q_rad, learned().q_rad)
+
+
+def test_a_server_is_not_asked_about_several_cells():
+    with server_of("learned", SINE, OPTIONS, port=0) as server:
+        env, policy = make(f"remote:{server.address}", SINE, **OPTIONS)
+        observation, _ = env.reset(seed=0)
+        env.close()
+        assert np.array_equal(policy(observation[None]), policy(observation)[None])
+        with pytest.raises(PolicyError, match="2 cells at once"):
+            policy(np.stack([observation] * 2))
+        policy.close()
 
 
 def test_a_served_chunk_policy_is_executed_as_the_chunk_policy_itself():

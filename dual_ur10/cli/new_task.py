@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import keyword
 import re
+import shutil
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
@@ -45,14 +46,22 @@ def new_task(
     if name in facade.__all__ or keyword.iskeyword(name) or keyword.iskeyword(package) or find_spec(package):
         raise SettingsError(f"the name {name} is that of something else in Python or in a task: choose another")
     folder = out or Path(package)
-    if folder.exists():
-        raise SettingsError(f"{folder} exists: name a folder that does not, with --out")
+    try:
+        folder.mkdir(parents=True)
+    except FileExistsError:
+        raise SettingsError(f"{folder} exists: name a folder that does not, with --out") from None
+    except OSError as error:
+        raise SettingsError(f"cannot make {folder}: {error.strerror}. Name another folder with --out") from None
     values = {"name": name, "package": package, "env_id": env_id}
-    for file, template in _FILES.items():
-        path = folder / file.format(package=package)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        text = (files("dual_ur10.cli") / "task_template" / template).read_text() if template else ""
-        path.write_text(Template(text).substitute(values))
+    try:
+        for file, template in _FILES.items():
+            path = folder / file.format(package=package)
+            path.parent.mkdir(exist_ok=True)
+            text = (files("dual_ur10.cli") / "task_template" / template).read_text() if template else ""
+            path.write_text(Template(text).substitute(values))
+    except OSError as error:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise SettingsError(f"cannot write to {folder}: {error.strerror}. Name another folder with --out") from None
     console.print(f"wrote [bold cyan]{escape(str(folder))}[/]", highlight=False, soft_wrap=True)
     console.print(
         f"pip install -e {escape(str(folder))}; python -m dual_ur10 evaluate {env_id}; pytest {escape(str(folder))}; "

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -69,6 +72,7 @@ def test_it_is_as_well_kept_as_this_package(project):
         (["Peg-v1"], "use letters and digits"),
         (["Handover", "--namespace", "DualUR10"], "another one than DualUR10"),
         (["Peg", "--out", "."], "name a folder that does not"),
+        (["Peg", "--out", "/dev/null/peg"], "cannot make /dev/null/peg: Not a directory"),
         (["Start"], "is that of something else"),
         (["Json"], "is that of something else"),
         (["Class"], "is that of something else"),
@@ -79,4 +83,15 @@ def test_bad_names_are_refused(arguments, text, tmp_path, monkeypatch):
     code, found = run("new-task", *arguments)
     assert code == 2
     assert text in " ".join(found.split())
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_full_disk_leaves_no_part_of_a_project(tmp_path, monkeypatch):
+    def full(self, *_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_text", full)
+    code, found = run("new-task", "Peg", "--out", str(tmp_path / "peg"))
+    assert code == 2
+    assert "No space left on device" in " ".join(found.split())
     assert not list(tmp_path.iterdir())

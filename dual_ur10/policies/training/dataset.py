@@ -131,8 +131,9 @@ def check_new(dataset_id: str) -> None:
     minari = _minari()
     try:
         minari.dataset.minari_dataset.parse_dataset_id(dataset_id)
-    except ValueError as error:
-        raise DatasetError(f"{dataset_id!r:.80} is no name of a dataset: {error}") from None
+    except (TypeError, ValueError) as error:
+        reason = "it has no version, such as -v0" if isinstance(error, TypeError) else error  # Minari's own accident
+        raise DatasetError(f"{dataset_id!r:.80} is no name of a dataset: {reason}") from None
     if dataset_id in minari.list_local_datasets():
         raise DatasetError(f"the dataset {dataset_id} exists, and nothing is overwritten: choose another name")
 

@@ -239,7 +239,7 @@ def test_nothing_is_overwritten():
     assert minari.load_dataset("ur10/sine/scripted-v0").total_episodes == 3
 
 
-@pytest.mark.parametrize("name", ["", "no version", "a/b", "../x-v0", "a b-v0"])
+@pytest.mark.parametrize("name", ["", "no version", "noversion", "ur10/carry", "a/b", "../x-v0", "a b-v0"])
 def test_illegal_names_are_refused_before_anything_runs(name, monkeypatch):
     monkeypatch.setattr("dual_ur10.policies.evaluation.evaluate.load_named", lambda *_, **__: pytest.fail("it ran"))
     with pytest.raises(DatasetError, match="no name of a dataset"):

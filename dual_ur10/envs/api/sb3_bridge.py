@@ -365,22 +365,33 @@ def hide(model: BaseAlgorithm, columns: Iterable[int]) -> None:
     become zero, and stay so.
 
     Args:
-        model: PPO or SAC with an `MlpPolicy`, before its training.
+        model: PPO, SAC or TD3 with an `MlpPolicy`, before its training.
         columns: Columns, as of `CellsVecEnv.columns`.
 
     Raises:
         SettingsError: The policy has no network of linear layers of its own.
     """
-    policy: Any = model.policy
     try:
-        layer = policy.actor.latent_pi[0] if hasattr(policy, "actor") else policy.mlp_extractor.policy_net[0]
-        mask = torch.ones_like(layer.weight)
+        layers = _first_layers(model.policy)
     except (AttributeError, IndexError):
-        raise SettingsError(f"{type(policy).__name__} has no layers to hide columns from: use MlpPolicy") from None
+        raise SettingsError(
+            f"{type(model.policy).__name__} has no layers to hide columns from: use MlpPolicy"
+        ) from None
+    mask = torch.ones_like(layers[0].weight)
     mask[:, list(columns)] = 0.0
-    with torch.no_grad():
-        layer.weight.mul_(mask)
-    layer.weight.register_hook(lambda gradient: gradient * mask)
+    for layer in layers:
+        with torch.no_grad():
+            layer.weight.mul_(mask)
+        layer.weight.register_hook(lambda gradient: gradient * mask)
+
+
+def _first_layers(policy: Any) -> list[Any]:
+    """Return the layers of a policy that get the observation: of PPO, SAC, or TD3, which has a target of its actor."""
+    if not hasattr(policy, "actor"):
+        return [policy.mlp_extractor.policy_net[0]]
+    if hasattr(policy.actor, "latent_pi"):
+        return [policy.actor.latent_pi[0]]
+    return [policy.actor.mu[0], policy.actor_target.mu[0]]
 
 
 def _row(value: Any, row: int) -> Any:

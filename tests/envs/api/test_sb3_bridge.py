@@ -262,7 +262,7 @@ def test_columns_are_those_of_the_fields(kind):
     env.close()
 
 
-@pytest.mark.parametrize("algorithm", ["PPO", "SAC"])
+@pytest.mark.parametrize("algorithm", ["PPO", "SAC", "TD3"])
 def test_hidden_columns_change_values_and_no_actions(algorithm):
     """Before and after updates of the network."""
     torch = pytest.importorskip("torch")
@@ -278,6 +278,8 @@ def test_hidden_columns_change_values_and_no_actions(algorithm):
         other[:, hidden] = rng.uniform(-1.0, 1.0, (8, len(hidden)))
         assert np.array_equal(*(model.predict(each, deterministic=True)[0] for each in (seen, other)))
         first, second = (torch.as_tensor(each) for each in (seen, other))
+        if algorithm == "TD3":
+            assert torch.equal(model.actor_target(first), model.actor_target(second))
         action = torch.zeros((8, *env.action_space.shape))
         with torch.no_grad():
             if algorithm == "PPO":

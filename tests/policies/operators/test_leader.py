@@ -126,11 +126,12 @@ def test_a_pause_without_readings_is_no_silence(raw, monkeypatch):
     """As between two episodes. At 57,600 baud no answer comes within the first reading after it."""
     clock = Clock()
     leader = Leader(raw.path, gripper_deg=(200, 100), clock=clock)
-    monkeypatch.setattr("dual_ur10.policies.operators.leader._WAIT_S", 0.0)
+    raw.fault = "silent"
     clock.now_s += 5.0
     assert leader.read().age_s == 1.0  # nothing moves by it
+    raw.fault = None
     monkeypatch.setattr("dual_ur10.policies.operators.leader._WAIT_S", 0.2)
-    clock.now_s += 0.04
+    clock.now_s += 0.06
     assert leader.read().age_s < 0.05
     raw.fault = "silent"
     clock.now_s += 5.0

@@ -173,15 +173,17 @@ def train(
     number, steps = number or CELLS[algorithm], steps or most
     env: VecEnv
     env = made = cells(task, algorithm, number, max_episode_steps=short or usual, starts=starts, **keywords)
-    if differences:
+    wide = differences and algorithm == "PPO"
+    if wide:
         chosen = {**chosen, "gae_lambda": 0.9}
+    if differences:
         env = VecNormalize(RewardDifferences(env, chosen["gamma"]), norm_obs=False, gamma=chosen["gamma"])
     rows = env.num_envs // number
     # It learns from episodes with this seed and those that follow.
     first_seed = 1_000_000_000 + 1_000_000 * seed
     model = getattr(stable_baselines3, algorithm)("MlpPolicy", env, seed=first_seed, device="cpu", **chosen)
     hide(model, made.columns(unseen))
-    if differences:
+    if wide:
         with torch.no_grad():
             model.policy.log_std[-1] += math.log(GRIPPER_STD)
     begin_s, checked_s = time.monotonic(), 0.0

@@ -133,6 +133,17 @@ def test_a_ladder_goes_on_where_it_was_ended(monkeypatch, tmp_path):
         assert EnvSetup.resolve(rung.task, {**rung.keywords, "starts": rung.starts}).options.concise
 
 
+def test_every_stock_learner_climbs_a_rung_with_rewards_for_changes(monkeypatch, tmp_path):
+    pytest.importorskip("stable_baselines3")
+    monkeypatch.syspath_prepend(FOLDER)
+    monkeypatch.syspath_prepend(FOLDER.parent / "examples")
+    ladder = importlib.import_module("ladder")
+    rung = dataclasses.replace(ladder.RUNGS["Handover-v0"].but(duration_s=0.4), steps={"ppo": 64, "sac": 64}, short=5)
+    monkeypatch.setitem(ladder.RUNGS, "Handover-v0", rung)
+    found = ladder.climb(tmp_path, ["Handover-v0"], ["ppo", "sac"], [0], episodes=2)["Handover-v0"]
+    assert {name: row["successes"] for name, row in found.items()} == {"ppo": [0], "sac": [0]}
+
+
 def test_baselines_are_measured_and_continued(monkeypatch, tmp_path):
     pytest.importorskip("torch")
     monkeypatch.syspath_prepend(FOLDER)

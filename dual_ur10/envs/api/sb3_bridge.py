@@ -40,6 +40,8 @@ class CellsVecEnv(VecEnv):
         num_cells: Number of cells, n.
         rows: Number of rows of each cell.
         max_episode_steps: Steps after which episodes are truncated; None: only the task ends them.
+        staggered: The episodes that `reset` begins are truncated after fewer steps, each after another number. Cells
+            then do not keep step, and every update of a learner sees all parts of the task.
         threads: Number of threads; None: one for each processor.
         render_mode: None or "rgb_array": one image per cell.
         **keywords: Keywords of every environment, `dual_ur10.envs.core.options.EnvOptions`, and of the task. Pixels are
@@ -57,10 +59,13 @@ class CellsVecEnv(VecEnv):
         rows: int,
         *,
         max_episode_steps: int | None = None,
+        staggered: bool = False,
         threads: int | None = None,
         render_mode: str | None = None,
         **keywords: Any,
     ) -> None:
+        if staggered and max_episode_steps is None:
+            raise SettingsError("staggered episodes need max_episode_steps: pass the steps of those that follow")
         check_options("shared", keywords)
         check_count("num_cells", num_cells)
         # Steps of this class reset the cells: for two controllers that is autoreset.
@@ -80,7 +85,7 @@ class CellsVecEnv(VecEnv):
         except BaseException:
             self.cells.close()
             raise
-        self._rows_of_a_cell = rows
+        self._rows_of_a_cell, self._most_steps = rows, (max_episode_steps if staggered else None)
         self._actions: NDArray[Any] = np.zeros((rows * num_cells, *action.shape), dtype=np.float32)
         super().__init__(rows * num_cells, observation, action)
 
@@ -119,7 +124,13 @@ class CellsVecEnv(VecEnv):
         options = [key for each in self._options for key in each]
         if options:
             raise SettingsError(f"reset takes no options, found {sorted(set(options))}: set keywords when making it")
-        _, info = self.cells.reset(seed=self._seeds[:: self._rows_of_a_cell])
+        seeds = self._seeds[:: self._rows_of_a_cell]
+        _, info = self.cells.reset(seed=seeds)
+        if self._most_steps is not None:
+            horizon = self.cells.core.task.horizon
+            most = self._most_steps if horizon is None else min(self._most_steps, horizon)
+            self.cells.elapsed_steps[:] = self._most_steps - most
+            self.cells.elapsed_steps += np.random.default_rng(seeds[0]).integers(most, size=len(seeds))
         self._reset_seeds()
         self.reset_infos = self._infos(info, range(self.cells.num_envs), None)
         return self._observations()

@@ -37,8 +37,7 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
         **keywords: Keywords of every environment, `dual_ur10.envs.core.options.EnvOptions`, and of the task.
 
     Attributes:
-        elapsed_steps: (n,) steps of the present episodes, which `max_episode_steps` limits. A learner may set them, so
-            that cells do not end their episodes together.
+        elapsed_steps: (n,) steps of the present episodes, which `max_episode_steps` limits. They may be set.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012  # as Gymnasium declares it

@@ -12,7 +12,6 @@ from typing import Any, Final
 import numpy as np
 
 from dual_ur10.envs.api.sb3_bridge import CellsVecEnv, JointVecEnv, TwoAgentVecEnv
-from dual_ur10.envs.api.vector_env import DualArmVectorEnv
 from dual_ur10.errors import MissingExtraError, TrainingError
 from dual_ur10.policies.learned.from_sb3 import converted
 from dual_ur10.policies.learned.manifest import Manifest
@@ -83,6 +82,7 @@ class Reinforcer:
         """
         asked = self._asked
         task, given = asked.env_id, {"max_episode_steps": self._settings.episode_steps, **asked.keywords}
+        given["staggered"] = given["max_episode_steps"] is not None
         env: CellsVecEnv
         if asked.agents == "joint":
             env = JointVecEnv(task, asked.envs, threads=self._threads, **given)
@@ -122,7 +122,7 @@ class Reinforcer:
         left = (asked.steps - self.steps) * per_step
 
         def learner(k: int) -> None:
-            callback = _Watcher(self, per_step, env.cells) if k == 0 else _Explorer(self)
+            callback = _Watcher(self, per_step) if k == 0 else _Explorer(self)
             self._models[k][0].learn(left, callback=callback, reset_num_timesteps=True)
 
         try:
@@ -144,15 +144,6 @@ class Reinforcer:
 
     def _share(self) -> float:
         return min(1.0, self.steps / self._asked.steps)
-
-    def stagger(self, cells: DualArmVectorEnv) -> None:
-        """Let the first episodes end at any time, so that each update learns from all parts of the task."""
-        most, seed = self._settings.episode_steps, [self._asked.seed, self.steps]
-        if most is not None:
-            horizon = cells.core.task.horizon
-            most_left = most if horizon is None else min(most, horizon)
-            done = np.random.default_rng(seed).integers(most_left, size=cells.num_envs)
-            cells.elapsed_steps[:] = most - most_left + done
 
     def explore(self, model: Any) -> None:
         """Set the width of a model's exploration; called before each rollout."""
@@ -250,12 +241,9 @@ class _Explorer(BaseCallback):
 class _Watcher(_Explorer):
     """Callback of the first model."""
 
-    def __init__(self, reinforcer: Reinforcer, per_step: int, cells: DualArmVectorEnv) -> None:
+    def __init__(self, reinforcer: Reinforcer, per_step: int) -> None:
         super().__init__(reinforcer)
-        self._per_step, self._cells = per_step, cells
-
-    def _on_training_start(self) -> None:
-        self._reinforcer.stagger(self._cells)
+        self._per_step = per_step
 
     def _on_step(self) -> bool:
         self._reinforcer.watch(self.locals["infos"], self.num_timesteps // self._per_step)

@@ -213,6 +213,7 @@ def test_bad_actions_options_and_order():
         ({"reward": "mean"}, errors.UnknownNameError, "individual"),
         ({"observation": "both"}, errors.SettingsError, "observation='state'"),
         ({"max_episode_steps": 0}, errors.SettingsError, "max_episode_steps"),
+        ({"staggered": True}, errors.SettingsError, "max_episode_steps"),
         ({"render_mode": "human"}, errors.UnknownNameError, "rgb_array"),
     ],
 )

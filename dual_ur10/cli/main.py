@@ -24,7 +24,6 @@ USAGE_ERROR = 2
 
 _STOPPED: Final = "both arms were stopped"
 
-
 _COMMANDS: Final[dict[str, dict[str, str]]] = {
     "Simulate": {
         "list": "list:list_environments",
@@ -75,6 +74,12 @@ def one_line_errors() -> Iterator[None]:
         raise typer.Exit(USAGE_ERROR) from None
     except KeyboardInterrupt:
         end_interrupted()
+    except OSError as error:  # of a file that was named: its name is too long, say
+        if error.filename is None or hasattr(error, "__notes__"):
+            raise
+        named = escape(f"{error.strerror}: {str(error.filename)!r:.120}")
+        errors.print(f"[bold red]error:[/] [red]{named}[/]", soft_wrap=True)
+        raise typer.Exit(USAGE_ERROR) from None
     except Exception as error:
         if not any(_STOPPED in note for note in getattr(error, "__notes__", ())):
             raise

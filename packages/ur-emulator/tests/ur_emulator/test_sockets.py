@@ -23,14 +23,16 @@ class Echo:
 
     def __init__(self):
         self.ended = 0
+        self.got = b""
+        self.mute = False
 
     def received(self, data):
-        self.last = data
+        self.got += data
         if b"!" in data:
             raise ProtocolError("this protocol has no '!'")
         if b"bye" in data:
             self.finished = True
-        return data
+        return b"" if self.mute else data
 
     def closed(self):
         self.ended += 1
@@ -111,15 +113,17 @@ def test_a_peer_that_is_finished_is_closed_after_its_answer(harness):
     assert harness.read(client) == b""
 
 
-@pytest.mark.parametrize("frozen", [False, True])
-def test_the_last_bytes_of_a_disconnected_client_take_effect(harness, frozen):
+@pytest.mark.parametrize(("frozen", "mute"), [(False, True), (False, False), (True, True)])
+def test_the_last_bytes_of_a_disconnected_client_take_effect(harness, frozen, mute):
     """Many clients send a program and close at once, with the stream unread: the end arrives as a reset."""
     client = harness.client(greeted=False)
     harness.port.inject(frozen=frozen)
-    client.sendall(b"a program\n")
+    harness.peers[0].mute = mute
+    program = 42_000 * b"-" + b"\n"  # as long as that of ur_rtde
+    client.sendall(program)
     client.close()
     harness.port.broadcast(lambda: b"a packet of the stream")
-    assert getattr(harness.peers[0], "last", None) == (None if frozen else b"a program\n")
+    assert harness.peers[0].got == (b"" if frozen else program)
     assert harness.port.connections == []
     assert harness.peers[0].ended == 1
 

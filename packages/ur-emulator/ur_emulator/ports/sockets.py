@@ -57,6 +57,7 @@ class Connection:
         self.served = 0
         self.open = True
         self.half_open = port.faults.half_open
+        self._gone = False
         self._number = transport.fileno()
         self._out = bytearray()
         self._coming, self._going = DelayLine(), DelayLine()
@@ -75,7 +76,7 @@ class Connection:
             data: Bytes.
             droppable: Whether they are one packet of a stream, which is dropped as a whole when the client is slow.
         """
-        if not data or not self.open:
+        if not data or not self.open or self._gone:
             return
         if not (self.port.faulty or self.half_open or self._going.waiting):
             self._write(data, droppable)
@@ -145,28 +146,30 @@ class Connection:
         except OSError:
             # The client has gone. Its last bytes may be unread, and a program in them still runs.
             self._out.clear()
-            if self.reads:
-                self.read()
+            self._gone = True
+            while self.reads and self.read():
+                pass
             self.close("")
         self._note()
 
-    def read(self) -> None:
-        """Receive bytes and answer them."""
+    def read(self) -> bool:
+        """Receive bytes and answer them. Return False if there were none."""
         try:
             data = self.transport.receive_now(_RECEIVE_BYTES)
         except OSError:  # reset by the client
             data = b""
         if data is None:
-            return
+            return False
         if not data:
             self.close("")
-            return
+            return False
         faults = self.port.faults
         if self._coming.waiting or faults.delay_s or faults.jitter_s:
             self._coming.put(self.hub.due(faults), data)
             self._note()
         else:
             self._take(data)
+        return True
 
     def _take(self, data: bytes) -> None:
         if self.half_open or not self.open:

@@ -57,8 +57,9 @@ def test_no_argument_of_a_function_ends_the_controller(family):
         "thread t():\n  i = 0\n  while i < 4000:\n    i = i + 1\n  end\n  sync()\nend\n" + "run t()\n" * 40 + "sync()",
     ],
 )
-def test_a_program_has_one_budget_per_control_period(bench, text):
-    bench.run(program(text))
+@pytest.mark.parametrize("kind", ["def", "sec"])
+def test_a_program_has_one_budget_per_control_period(bench, kind, text):
+    bench.run(program(text).replace("def", kind, 1))
     bench.tick(3)
     assert bench.state == RuntimeState.STOPPED
     assert b"infinite loop" in b"".join(bench.controller.messages)

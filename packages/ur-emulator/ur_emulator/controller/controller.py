@@ -279,8 +279,8 @@ class Controller:
         Raises:
             RecursionError: The control period has fewer left.
         """
-        machine = self.program.machine
-        if machine is not None and machine.thread is not None:
+        machine = self.program.running
+        if machine is not None:
             machine.spend(steps)
 
     def _watch(self) -> None:

@@ -65,6 +65,12 @@ class ProgramRunner:
         self._demand = Demand.NONE
         self._unstarted = False
 
+    @property
+    def running(self) -> Machine | None:
+        """Machine, of the main or a secondary program, one of whose threads runs now; None between control periods."""
+        machines = self._secondary if self.machine is None else [self.machine, *self._secondary]
+        return next((each for each in machines if each.thread is not None), None)
+
     def load(self, text: str, found: Program | ScriptError | None = None) -> None:
         """Play a program in place of the present one, or a secondary program beside it.
 

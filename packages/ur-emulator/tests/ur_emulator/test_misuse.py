@@ -65,7 +65,7 @@ def test_a_program_has_one_budget_per_control_period(bench, kind, text):
     assert b"infinite loop" in b"".join(bench.controller.messages)
 
 
-@pytest.mark.parametrize("cog", ["[0, 0]", '"123"', "[0, 0, 1e308 * 10]", "[]"])
+@pytest.mark.parametrize("cog", ["[0, 0]", '"123"', "[0, 0, 1e308 * 10]", "[0, 0, 1e300]", "[]"])
 def test_a_payload_is_all_or_nothing(bench, cog):
     bench.run(program(f"set_payload(1.0, {cog})"))
     bench.tick(2)

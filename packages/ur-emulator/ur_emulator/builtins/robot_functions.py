@@ -12,6 +12,7 @@ from ur_core.kinematics.ur10 import JOINT_RANGE_RAD
 from ur_emulator.builtins.functions import Functions
 from ur_emulator.builtins.motion_functions import SOLUTION_STEPS, joints_of
 from ur_emulator.controller.controller import Controller
+from ur_emulator.motion.arguments import checked_frame
 from ur_emulator.script import Builtins, Pose
 from ur_emulator.script.values import number
 
@@ -154,6 +155,7 @@ class _RobotFunctions(Functions):
 
     def set_payload(self, m: float, cog: Any = (0.0, 0.0, 0.0)) -> None:
         mass, place = _mass(m, self._controller.dh.robot), tuple(_numbers(cog, 3, "a centre of gravity"))
+        checked_frame((*place, 0.0, 0.0, 0.0), "the centre of gravity")
         self._payload.mass_kg, self._payload.cog_m = mass, place
 
     def set_payload_mass(self, m: float) -> None:

@@ -47,6 +47,12 @@ def test_a_matrix_times_a_matrix_or_a_list(rows, inner, columns, data):
     assert evaluate(f"{left} * {column}") == (np.array(left) @ np.array(column)).tolist()
 
 
+def test_the_integers_of_a_product_have_32_bits():
+    assert evaluate(f"[[{2**30}, {2**30 - 1}], [1, 1.0]] * [1, 1]") == [2**31 - 1, 2.0]
+    with pytest.raises(ScriptRuntimeError, match="at most 32 bits"):
+        evaluate(f"[[{2**30}, {2**30}], [1, 1]] * [1, 1]")
+
+
 def test_operands_are_not_changed():
     assert Robot().run("a = [1, 2]\nb = a * 2\nc = a + b\nsay(a)\nsay(b)\nsay(c)") == [[1, 2], [2, 4], [3, 6]]
 

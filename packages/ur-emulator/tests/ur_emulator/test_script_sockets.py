@@ -124,6 +124,11 @@ def test_read_values(net, call, sent, said):
     assert f"<{said}>" in net.texts
 
 
+def test_a_variable_of_more_than_32_bits_ends_the_program(net):
+    net.run(OPEN + say('socket_get_var("POS", "s")'), sent=b"POS 2147483648\n")
+    assert "at most 32 bits" in net.texts
+
+
 def test_the_rest_of_the_bytes_waits_for_the_next_read(net):
     net.run(OPEN + say('socket_read_line("s")') + say('socket_read_byte_list(2, "s")'), sent=b"ab\ncd")
     assert "<ab>" in (texts := net.texts)

@@ -16,7 +16,7 @@ from ur_emulator.builtins.functions import Functions
 from ur_emulator.controller.controller import Controller
 from ur_emulator.controller.script_sockets import CONNECT_S, ScriptSockets, discard
 from ur_emulator.script import Builtins, text
-from ur_emulator.script.values import TEXT_MAX, integer, number
+from ur_emulator.script.values import TEXT_MAX, fitting, integer, number
 
 T = TypeVar("T")
 Blocking = Generator[None, None, T]
@@ -179,7 +179,7 @@ class _SocketFunctions(Functions):
             return 0
         line = yield from self._streams.read(_line, socket_name, _TIMEOUT_S, "")
         found = re.fullmatch(rf"{re.escape(name)}\s+([+-]?\d{{1,10}})\s*", line)
-        return 0 if found is None else int(found[1])
+        return 0 if found is None else fitting(int(found[1]))
 
     def socket_set_var(self, name: str, value: int, socket_name: str = _NAME) -> Blocking[None]:
         yield from self._streams.send(_bytes(f"SET {name} {integer(value)}\n"), socket_name)

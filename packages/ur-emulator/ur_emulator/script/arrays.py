@@ -7,9 +7,11 @@ by a matrix or by a list. Poses take no part in it: they have functions such as 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import reduce
 from typing import Any, Final
 
-from ur_emulator.script.values import LIST_MAX, Pose, kind, number
+from ur_emulator.script.operations import add
+from ur_emulator.script.values import LIST_MAX, Pose, kind
 
 Operator = Callable[[Any, Any], Any]
 
@@ -66,12 +68,8 @@ def _product(scalar: Operator, spend: Callable[[int], None], left: list[Any], ri
     if len(rows) * (len(columns) + 1) > LIST_MAX:
         raise ValueError(f"a list has at most {LIST_MAX} elements with all of its rows")
     spend(len(rows) * len(columns) * len(rows[0]) // _ELEMENTS_PER_STEP)
-    product = [[_sum(map(scalar, row, column)) for column in columns] for row in rows]
+    product = [[reduce(add, map(scalar, row, column)) for column in columns] for row in rows]
     return product if _is_matrix(right) else [row[0] for row in product]
-
-
-def _sum(values: Any) -> float:
-    return sum(number(each) for each in values)
 
 
 def _rows(matrix: list[Any]) -> list[list[Any]]:

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from ur_emulator.script import pose_arithmetic as poses
 from ur_emulator.script.machine import machine_functions
-from ur_emulator.script.values import INT_MAX, TEXT_MAX, Builtins, integer, kind, number, text
+from ur_emulator.script.values import INT_MAX, TEXT_MAX, Builtins, fitting, integer, kind, number, text
 
 _BITS: Final = 32
 
@@ -39,12 +39,12 @@ def log(b: float, f: float) -> float:
 
 def ceil(f: float) -> int:
     """Round up to an integer."""
-    return _integer(math.ceil(number(f)))
+    return fitting(math.ceil(number(f)))
 
 
 def floor(f: float) -> int:
     """Round down to an integer."""
-    return _integer(math.floor(number(f)))
+    return fitting(math.floor(number(f)))
 
 
 def d2r(d: float) -> float:
@@ -137,7 +137,7 @@ def to_num(str: str) -> float | int:  # noqa: A002
     word = _text(str).strip()
     # Check the length first: Python parses long integers slowly, or refuses them.
     if len(word) <= 11 and word.lstrip("+-").isdecimal():
-        return _integer(int(word))
+        return fitting(int(word))
     return float(word)
 
 
@@ -161,12 +161,6 @@ def _list(value: object) -> list[Any]:
 def _limited(value: str) -> str:
     if len(value) > TEXT_MAX:
         raise ValueError(f"a string has at most {TEXT_MAX} characters, found {len(value)}")
-    return value
-
-
-def _integer(value: int) -> int:
-    if not -INT_MAX - 1 <= value <= INT_MAX:
-        raise OverflowError(f"an integer has at most 32 bits: {value} is too large")
     return value
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Final
 
-from ur_emulator.script.values import INT_MAX, LIST_MAX, Pose, integer, kind, number
+from ur_emulator.script.values import INT_MAX, LIST_MAX, Pose, fitting, integer, kind, number
 
 _INT_MIN: Final = -INT_MAX - 1
 _SCALARS: Final = frozenset((int, float, bool, str))
@@ -21,7 +21,7 @@ def add(left: Any, right: Any) -> Any:
         return left + right
     if left.__class__ is int and right.__class__ is int and _INT_MIN <= (whole := left + right) <= INT_MAX:
         return whole
-    return _fits(number(left) + number(right))
+    return fitting(number(left) + number(right))
 
 
 def subtract(left: Any, right: Any) -> Any:
@@ -30,7 +30,7 @@ def subtract(left: Any, right: Any) -> Any:
         return left - right
     if left.__class__ is int and right.__class__ is int and _INT_MIN <= (whole := left - right) <= INT_MAX:
         return whole
-    return _fits(number(left) - number(right))
+    return fitting(number(left) - number(right))
 
 
 def multiply(left: Any, right: Any) -> Any:
@@ -39,7 +39,7 @@ def multiply(left: Any, right: Any) -> Any:
         return left * right
     if left.__class__ is int and right.__class__ is int and _INT_MIN <= (whole := left * right) <= INT_MAX:
         return whole
-    return _fits(number(left) * number(right))
+    return fitting(number(left) * number(right))
 
 
 def divide(left: Any, right: Any) -> float:
@@ -54,7 +54,7 @@ def modulo(left: Any, right: Any) -> Any:
 
 def negative(value: Any) -> Any:
     """-value."""
-    return _fits(-number(value))
+    return fitting(-number(value))
 
 
 def less(left: Any, right: Any) -> bool:
@@ -133,12 +133,6 @@ def put(value: Any, base: Any, index: Any) -> Any:
 def put_cell(value: Any, base: Any, row: Any, column: Any) -> Any:
     """Return a copy of base in which element (row, column) is the value."""
     return put(put(value, get(base, row), column), base, row)
-
-
-def _fits(value: float) -> float:
-    if isinstance(value, int) and not _INT_MIN <= value <= INT_MAX:
-        raise OverflowError(f"an integer has at most 32 bits: {value} is too large (floats, like 1.0, are not limited)")
-    return value
 
 
 def _check(base: Any, index: Any) -> None:

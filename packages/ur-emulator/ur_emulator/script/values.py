@@ -7,7 +7,9 @@ element makes a new one. So a builtin must change neither a list that it receive
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, Final
+from typing import Any, Final, TypeVar
+
+Number = TypeVar("Number", int, float)
 
 Builtins = dict[str, Callable[..., Any]]
 """Functions that programs may call, by name. A generator function blocks its thread until it ends."""
@@ -83,6 +85,17 @@ def integer(value: object) -> int:
     if isinstance(value, int) and not isinstance(value, bool):
         return value
     raise TypeError(f"expected an integer, found {kind(value)}")
+
+
+def fitting(value: Number) -> Number:
+    """Return a number, unless it is an integer of more than 32 bits.
+
+    Raises:
+        OverflowError: It is one.
+    """
+    if isinstance(value, int) and not -INT_MAX - 1 <= value <= INT_MAX:
+        raise OverflowError(f"an integer has at most 32 bits: {value} is too large (floats, like 1.0, are not limited)")
+    return value
 
 
 def text(value: object) -> str:

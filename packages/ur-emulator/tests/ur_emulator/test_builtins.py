@@ -67,3 +67,11 @@ def test_each_kind_of_register_is_read_and_written(bench, kind, name, value):
     )
     bench.tick(2)
     assert getattr(bench.controller.registers, f"output_{name}")[3:5] == [value, value]
+
+
+@pytest.mark.parametrize("joint", ["-1", "6", "1.0"])
+def test_a_joint_that_does_not_exist_ends_the_program(bench, joint):
+    bench.run(program(f"x = get_joint_temp(5)\nx = get_joint_temp({joint})"))
+    assert b"get_joint_temp" not in b"".join(bench.controller.messages)
+    bench.tick()
+    assert b": get_joint_temp" in b"".join(bench.controller.messages)

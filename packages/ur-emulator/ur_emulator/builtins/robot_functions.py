@@ -14,6 +14,7 @@ from ur_emulator.builtins.motion_functions import SOLUTION_STEPS, joints_of
 from ur_emulator.controller.controller import Controller
 from ur_emulator.motion.arguments import checked_frame
 from ur_emulator.script import Builtins, Pose
+from ur_emulator.script.operations import get
 from ur_emulator.script.values import number
 
 # Names and defaults of the parameters are those of UR's script manual, since programs pass them by name.
@@ -139,7 +140,8 @@ class _RobotFunctions(Functions):
         return float(np.linalg.norm(self._controller.wrench[:3]))
 
     def get_joint_temp(self, j: int) -> float:
-        return float(self._values["joint_temperatures"][j])
+        temperature: float = get(list(self._values["joint_temperatures"]), j)
+        return temperature
 
     def get_controller_temp(self) -> float:
         return 30.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,7 +27,6 @@ from dual_ur10.sim2real.recording.run_folder import RUN_FILE
 FORMAT: Final = "1"
 
 _SAME: Final = ("env_id", "family", "tick_s", "period_ticks", "mounts")
-_SAME_KEYWORDS: Final = ("action_mode", "action_scale", "observation")
 
 
 @dataclass(frozen=True)
@@ -94,13 +93,14 @@ def to_lerobot(
     first = [read_run(runs[0], allow_partial=allow_partial)]
     header = first[0].header
     view = view_of_run(header)
+    shared = _shared(header, view)
     words = task or words_of(view.env_id)
     headers: list[dict[str, str]] = []
     episodes: list[dict[str, Any]] = []
     with writer(folder, view.fps, _features(view, cameras, size), _robot(view)) as made:
         for done, path in enumerate(runs):
             run = first.pop() if first else read_run(path, allow_partial=allow_partial)  # one is held at a time
-            _check_same(header, run.header, path)
+            _check_same(shared, _shared(run.header, view_of_run(run.header)), path)
             headers.append(to_metadata(replace(run.header, cell_file=None, cell_sha256=None, extra={})))
             recorded = None
             if cameras and run.header.source != "mujoco":
@@ -114,8 +114,8 @@ def to_lerobot(
             on_run(done + 1, len(runs))
         if not episodes:
             raise DatasetError("the runs have no episode to export: record some, or leave --successful out")
-        stroke_m = None if view.positions.stroke_m is None else view.positions.stroke_m.tolist()
-        made.write_json(OWN, {"format": FORMAT, "gripper_stroke_m": stroke_m, "runs": headers, "episodes": episodes})
+        described = {"gripper_stroke_m": shared["gripper_stroke_m"], "runs": headers, "episodes": episodes}
+        made.write_json(OWN, {"format": FORMAT, **described})
     return Exported(folder, len(episodes), sum(made.lengths), view.fps)
 
 
@@ -132,20 +132,30 @@ def _chosen(run: Run, *, successful: bool) -> dict[int, bool | None]:
     }
 
 
-def _check_same(first: Header, header: Header, path: Path) -> None:
+def _check_same(first: Mapping[str, Any], found: Mapping[str, Any], path: Path) -> None:
     """Make sure that two runs fit into one dataset.
 
     Raises:
         RecordingError: They are of different environments.
     """
-    pairs = [(name, getattr(first, name), getattr(header, name)) for name in _SAME]
-    pairs += [(name, first.kwargs.get(name), header.kwargs.get(name)) for name in _SAME_KEYWORDS]
-    for name, expected, found in pairs:
-        if found != expected:
+    for name, expected in first.items():
+        if found[name] != expected:
             raise RecordingError(
-                f"{path} is of another environment: {name} is {found!r:.200}, and {expected!r:.200} in the first run. "
-                "Export it as a dataset of its own"
+                f"{path} is of another environment: {name} is {found[name]!r:.200}, and {expected!r:.200} in the first "
+                "run. Export it as a dataset of its own"
             )
+
+
+def _shared(header: Header, view: RecordedView) -> dict[str, Any]:
+    """Return the properties, by name, that are the same in all runs of a dataset."""
+    options, stroke_m = view.view.setup.options, view.positions.stroke_m
+    return {
+        **{name: getattr(header, name) for name in _SAME},
+        "action_mode": options.action_mode,
+        "action_scale": options.action_scale,
+        "observation": view.view.signature.view,
+        "gripper_stroke_m": None if stroke_m is None else stroke_m.tolist(),
+    }
 
 
 def _features(view: RecordedView, cameras: Sequence[str], size: tuple[int, int]) -> dict[str, DatasetFeature]:

@@ -21,6 +21,7 @@ from dual_ur10.lerobot.resimulation import simulate_again
 from dual_ur10.policies.learned.lerobot_files import image_keys
 from dual_ur10.policies.training.demonstrations import KEPT
 from dual_ur10.sim2real.cameras.pattern_camera import pattern_time_s
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.recording.recorded_images import observed_s
 from dual_ur10.testing import VirtualCell
@@ -166,11 +167,13 @@ def test_what_cannot_be_exported_is_refused_and_leaves_nothing(made, tmp_path):
     recorded(tmp_path / "slow", steps=(2,), policy_rate_hz=12.5)
     recorded(tmp_path / "other", "DualUR10/SineTracking-v0", (2,))
     recorded(tmp_path / "none", steps=())
-    (slow,), (other,), (none,) = ((tmp_path / each).iterdir() for each in ("slow", "other", "none"))
+    recorded(tmp_path / "wide", steps=(2,), cell=CellConfig(tools=("generic_140", "generic_140")))
+    (slow,), (other,), (none,), (wide,) = ((tmp_path / each).iterdir() for each in ("slow", "other", "none", "wide"))
     target = tmp_path / "dataset"
     for chosen, error, message, options in (
         ([], DatasetError, "there is no run", {}),
         ([run, other], RecordingError, "is of another environment: env_id is 'DualUR10/SineTracking-v0'", {}),
+        ([run, wide], RecordingError, r"gripper_stroke_m is \[0\.14, 0\.14\], and \[0\.085, 0\.085\] in the first", {}),
         ([slow], DatasetError, r"a step takes 0\.08 s: .* a whole number", {}),
         ([none], DatasetError, "no episode to export", {}),
         ([run], DatasetError, "no episode to export", {"successful": True}),
@@ -182,6 +185,12 @@ def test_what_cannot_be_exported_is_refused_and_leaves_nothing(made, tmp_path):
         assert [each for each in tmp_path.iterdir() if "dataset" in each.name] == []
     with pytest.raises(DatasetError, match="exists, and nothing is overwritten"):
         to_lerobot([run], folder)
+
+
+def test_a_default_that_a_run_states_is_no_other_environment(made, tmp_path):
+    recorded(tmp_path / "runs", steps=(2,), action_mode="joint_delta", observation="state", action_scale=1.0)
+    found = to_lerobot(runs_of([made[0], tmp_path / "runs"]), tmp_path / "dataset")
+    assert (found.episodes, found.frames) == (3, sum(STEPS) + 2)
 
 
 def test_kept_demonstrations_are_the_successful_ones(tmp_path):

@@ -54,6 +54,10 @@ def test_no_argument_of_a_function_ends_the_controller(family):
         "while True:\n  x = get_inverse_kin_has_solution(p[0.5, 0.1, 0.3, 0, 3.14, 0])\nend",
         "x = [" + ", ".join(["get_inverse_kin_has_solution(p[0.5, 0.1, 0.3, 0, 3.14, 0])"] * 200) + "]",
         "x = [" + ", ".join(["1"] * 500) + "]\nwhile True:\n  y = norm(x)\nend",
+        *(
+            f"x = {[0.123456] * 500}\ni = 0\nwhile i < 100:\n  {call}(x)\n  i = i + 1\nend\nsync()"
+            for call in ("textmsg", "popup", "socket_send_line")
+        ),
         "thread t():\n  i = 0\n  while i < 4000:\n    i = i + 1\n  end\n  sync()\nend\n" + "run t()\n" * 40 + "sync()",
     ],
 )

@@ -13,7 +13,7 @@ from collections.abc import Callable, Generator
 from typing import Any, Final, TypeVar
 
 from ur_emulator.builtins.functions import Functions
-from ur_emulator.controller.controller import Controller
+from ur_emulator.controller.controller import CHARACTERS_PER_STEP, Controller
 from ur_emulator.controller.script_sockets import CONNECT_S, ScriptSockets, discard
 from ur_emulator.script import Builtins, text
 from ur_emulator.script.values import TEXT_MAX, fitting, integer, number
@@ -61,7 +61,7 @@ class _Streams:
         return kept
 
     def send(self, data: bytes, name: str) -> Blocking[bool]:
-        self._spend(_STEPS)
+        self._spend(_STEPS + len(data) // CHARACTERS_PER_STEP)
         socket = self._sockets.find(name)
         if socket is None:
             return False

@@ -56,6 +56,8 @@ STEADY_RAD: Final = 0.01
 STEADY_RAD_S: Final = 0.001
 REDUCED_SPEED: Final = 0.5  # ratio of the speed in reduced mode; a real one depends on the safety configuration
 
+CHARACTERS_PER_STEP: Final = 64
+"""Characters of a text that count for one more statement of the program that sends it."""
 
 Setpoint = tuple[int, tuple[float, ...], float, float, float]
 """One executed servoj target: control period, target, t, lookahead time and gain. A plain tuple of numbers, since the
@@ -259,10 +261,12 @@ class Controller:
 
     def send_text(self, text: str) -> None:
         """Send a text message of a program to clients of the primary interface."""
+        self.spend(len(text) // CHARACTERS_PER_STEP)
         self.messages.append(messages.text_message(self.time_s, text))
 
     def open_popup(self, title: str, text: str) -> None:
         """Open a popup."""
+        self.spend(len(text) // CHARACTERS_PER_STEP)
         self.popup = text
         self.messages.append(messages.popup_message(self.time_s, title, text))
 

@@ -118,6 +118,7 @@ def read_dataset(folder: str | Path) -> Dataset:
     for name in DEFAULTS:
         if name not in features:
             raise DatasetError(f"{folder}/meta/info.json has no feature {name!r}, which every dataset has")
+    features |= DEFAULTS  # whatever it states of them
     columns = _columns(folder, features)
     lengths = _lengths(folder, info, columns)
     _check_grid(folder, info.fps, lengths, columns)

@@ -91,6 +91,14 @@ def stated(**entries):
     return apply
 
 
+def features_stated(name, **entries):
+    def apply(folder):
+        features = json.loads((folder / "meta/info.json").read_text())["features"]
+        stated(features=features | {name: features.get(name, {}) | entries})(folder)
+
+    return apply
+
+
 def without_column(folder):
     pq.write_table(pq.read_table(table_of(folder)).drop_columns(["action"]), table_of(folder))
 
@@ -104,6 +112,15 @@ def as_text(folder):
 def nan(values):
     values[3, 2] = np.nan
     return values
+
+
+@pytest.mark.parametrize("entry", [{"dtype": "string"}, {"dtype": "float64"}, {"shape": [1, 1]}])
+@pytest.mark.parametrize("name", ["timestamp", "episode_index"])
+def test_the_index_of_frames_is_what_every_dataset_has_whatever_it_states(made, tmp_path, name, entry):
+    folder = shutil.copytree(made[1], tmp_path / "dataset")
+    features_stated(name, **entry)(folder)
+    found, expected = read_dataset(folder).columns[name], read_dataset(made[1]).columns[name]
+    assert (found.dtype, found.tolist()) == (expected.dtype, expected.tolist())
 
 
 BAD = {

@@ -16,6 +16,8 @@ _LARGEST_HEADER: Final = 2**16
 _DATA_PAGES: Final = {0: 5, 3: 8}
 """Field of the page header that describes a page with values, by the type of the page."""
 
+_NUMBERS: Final = ("BOOLEAN", "INT32", "INT64", "FLOAT", "DOUBLE")
+
 _STOP, _TRUE, _FALSE, _BYTE, _DOUBLE, _BINARY, _LIST, _SET, _STRUCT = 0, 1, 2, 3, 7, 8, 9, 10, 12
 _INTEGERS: Final = (4, 5, 6)
 
@@ -29,7 +31,8 @@ def check_sizes(path: Path, metadata: Any, sizes: Mapping[str, int]) -> int:
         sizes: Values in each row, by the name of the column.
 
     Raises:
-        DatasetError: The file states another number of values, or its pages hold another one.
+        DatasetError: A column is not of numbers; or the file states another number of values, or its pages hold another
+            one.
         OSError: It cannot be read.
     """
     total = 0
@@ -41,6 +44,8 @@ def check_sizes(path: Path, metadata: Any, sizes: Mapping[str, int]) -> int:
                 name = max((each for each in sizes if path_in_file.startswith(f"{each}.")), key=len, default=None)
                 if name is None:
                     continue
+                if chunk.physical_type not in _NUMBERS:  # a text of any length is one value
+                    raise DatasetError(f"{path}, {name} is of type {chunk.physical_type}: expected are numbers")
                 expected = group.num_rows * sizes[name]
                 found = chunk.num_values if chunk.num_values != expected else _values_in(file, path, chunk)
                 if found != expected:

@@ -162,7 +162,7 @@ def test_a_dataset_that_is_not_as_it_states_is_refused(made, tmp_path, change, m
 @pytest.mark.parametrize(
     ("places", "message"),
     [
-        (["0", "x"], "is string, expected is int64"),
+        (["0", "x"], "is of type BYTE_ARRAY: expected are numbers"),
         ([0.0, np.nan], "is double, expected is int64"),
         ([0.0, np.inf], "is double, expected is int64"),
         ([0, None], "2 values in 2 rows"),
@@ -213,16 +213,31 @@ def test_a_small_file_of_many_values_is_refused_before_it_is_unpacked(made, tmp_
         path.write_bytes(data[:at] + lie + data[at + len(stated) :])
         assert pq.read_table(path)[name].nbytes >= 4 * count
     assert path.stat().st_size < 2**16
+    message = f"{name}: the file is damaged, or not as it states: {total} values in 14 rows"
+    assert unpacked_until(message, tmp_path / "dataset") < count
+
+
+def unpacked_until(message, folder):
+    """Return the bytes that Arrow took until a dataset was refused."""
     pool = pa.proxy_memory_pool(before := pa.default_memory_pool())
     pa.set_memory_pool(pool)
     try:
-        with pytest.raises(
-            DatasetError, match=f"{name}: the file is damaged, or not as it states: {total} values in 14 rows"
-        ):
-            read_dataset(tmp_path / "dataset")
+        with pytest.raises(DatasetError, match=message):
+            read_dataset(folder)
     finally:
         pa.set_memory_pool(before)
-    assert pool.max_memory() < count
+    return pool.max_memory()
+
+
+def test_long_texts_in_place_of_numbers_are_refused_before_they_are_unpacked(made, tmp_path):
+    path = table_of(shutil.copytree(made[1], tmp_path / "dataset"))
+    table, size = pq.read_table(path), 1_000_000
+    texts = pa.array(["x" * size] * len(table)).dictionary_encode()
+    pq.write_table(
+        table.set_column(table.column_names.index("next.reward"), "next.reward", texts), path, store_schema=False
+    )
+    assert path.stat().st_size < 2**17
+    assert unpacked_until("next.reward is of type BYTE_ARRAY", tmp_path / "dataset") < size
 
 
 def test_values_are_counted_before_they_are_unpacked(made, monkeypatch):

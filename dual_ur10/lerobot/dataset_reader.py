@@ -191,6 +191,8 @@ def _table(path: Path, sizes: dict[str, int], most_bytes: int) -> tuple[Any, int
     Raises:
         DatasetError: The file cannot be read, lacks a column, has other sizes, or more bytes than it may have.
     """
+    if not path.is_file():  # a pipe would keep the reader waiting
+        raise DatasetError(f"cannot read {path}: it is no regular file. Copy the whole dataset again")
     try:
         with pq.ParquetFile(path) as file:
             missing = [name for name in sizes if name not in file.schema_arrow.names]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import shutil
 
 import numpy as np
@@ -109,6 +110,10 @@ def as_text(folder):
     pq.write_table(table.set_column(place, "next.reward", pa.array(["1"] * len(table))), table_of(folder))
 
 
+def with_pipe(folder):
+    os.mkfifo(folder / "data/chunk-000/file-001.parquet")
+
+
 def nan(values):
     values[3, 2] = np.nan
     return values
@@ -133,6 +138,7 @@ BAD = {
         lambda folder: table_of(folder).write_bytes(table_of(folder).read_bytes()[:-9]),
         "cannot read .*parquet",
     ),
+    "pipe": (with_pipe, r"cannot read .*file-001\.parquet: it is no regular file"),
     "version 2.0": (stated(codebase_version="v2.0"), "states the version 'v2.0': v3.0 and v2.1 are read"),
     "version 4": (stated(codebase_version="v4.0"), "states the version 'v4.0'"),
     "no version": (stated(codebase_version=3), "states the version 3"),

@@ -1,5 +1,6 @@
 import math
 import struct
+import sys
 
 import pytest
 from hypothesis import given
@@ -122,6 +123,27 @@ def test_complete_variables_of_a_short_package_are_applied():
         assert others == ({"external_force_torque": (1, 2, 3, 4, 5, 6)} if size >= 52 else {})
         assert registers.input_bits[0] == (size >= 56)
         assert registers.input_double[0] == (8.5 if size >= 64 else 0.0)
+
+
+@pytest.mark.parametrize("name", ["input_int_register_0", "input_bit_registers0_to_31", "external_force_torque"])
+def test_a_short_package_takes_no_longer_for_a_long_recipe(name):
+    """Thousands of them come in one piece."""
+
+    def lines(count):
+        recipe, found = input_recipe([name] * count, Registers()), 0
+
+        def trace(frame, event, argument):
+            nonlocal found
+            found += event == "line"
+            return trace
+
+        before = sys.gettrace()
+        sys.settrace(trace)
+        recipe.apply(b"")
+        sys.settrace(before)
+        return found
+
+    assert lines(100) == lines(1) > 0
 
 
 def test_a_register_listed_twice_takes_the_last_value():

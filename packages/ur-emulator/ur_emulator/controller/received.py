@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Collection
 from typing import Any, Final
 
 from ur_emulator.controller.registers import Registers
@@ -55,7 +55,7 @@ class Received:
         self.ended_tick: int | None = None
         self.stop_tick: int | None = None
 
-    def package(self, names: Sequence[str], tick: int) -> None:
+    def package(self, names: Collection[str], tick: int) -> None:
         """Record the inputs written by an RTDE client.
 
         Args:

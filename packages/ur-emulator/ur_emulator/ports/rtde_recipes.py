@@ -91,7 +91,7 @@ class InputRecipe:
     """
 
     def __init__(self, variables: Sequence[tuple[str, DataType]], registers: Registers) -> None:
-        self.names = tuple(name for name, _ in variables)
+        self.names, self.count = frozenset(name for name, _ in variables), len(variables)
         self._writes = registers.writes
         self._kinds = [kind for _, kind in variables]
         self._struct = struct.Struct(">" + _codes(self._kinds))
@@ -133,14 +133,16 @@ class InputRecipe:
             cells[index] = flat[place]
             writes[name] += 1
         for bits, where, name, place in self._groups:
-            if place < available:
-                bits[where] = _int_to_bits(flat[place])
-                writes[name] += 1
+            if place >= available:
+                break
+            bits[where] = _int_to_bits(flat[place])
+            writes[name] += 1
         others: dict[str, Value] = {}
         for name, start, end in self._others:
-            if end <= available:
-                others[name] = flat[start] if end - start == 1 else flat[start:end]
-                writes[name] += 1
+            if end > available:
+                break
+            others[name] = flat[start] if end - start == 1 else flat[start:end]
+            writes[name] += 1
         return others
 
     def _prefix(self, data: bytes) -> tuple[Any, ...]:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import logging
 import math
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, Final
 from weakref import WeakValueDictionary
 
@@ -72,7 +72,7 @@ class RtdePort:
         registers: Registers,
         values: Mapping[str, Value],
         inputs: Callable[[Mapping[str, Any]], None],
-        written: Callable[[Sequence[str]], None] = lambda names: None,
+        written: Callable[[Collection[str]], None] = lambda names: None,
     ) -> None:
         missing = zero_values(profile).keys() - values.keys()
         if missing:
@@ -274,7 +274,7 @@ class RtdeSession:
         if names and len(variables) == len(names):
             if len(self._inputs) == MAX_INPUT_RECIPES:
                 raise ProtocolError(f"more than {MAX_INPUT_RECIPES} RTDE input recipes on one connection")
-            if sum(len(each.names) for each in self._inputs) + len(names) > MAX_INPUTS:
+            if sum(each.count for each in self._inputs) + len(names) > MAX_INPUTS:
                 raise ProtocolError(f"more than {MAX_INPUTS} variables in the RTDE input recipes of one connection")
             self._inputs.append(InputRecipe(variables, port.registers))
             number = len(self._inputs)

@@ -110,7 +110,7 @@ def read_dataset(folder: str | Path) -> Dataset:
         DatasetError: A file is missing, cut off or no such file; the version is not supported; or the tables hold other
             features, lengths, rates or values than it states. The message names the file and the remedy.
     """
-    folder = Path(folder)
+    folder = Path(folder).absolute()  # Arrow and PyAV take the beginning of "a:b" for a protocol
     if not folder.is_dir():
         raise DatasetError(f"there is no folder {folder}: name that of a dataset, which holds meta/info.json")
     info = _info(folder)

@@ -57,7 +57,8 @@ class DatasetWriter:
     version = "v3.0"
 
     def __init__(self, folder: Path, fps: int, features: Mapping[str, DatasetFeature], robot_type: str) -> None:
-        self.folder, self.fps, self.robot_type = folder, fps, robot_type
+        self.folder = folder = folder.absolute()  # Arrow and PyAV take the beginning of "a:b" for a protocol
+        self.fps, self.robot_type = fps, robot_type
         self.features = {**{name: each for name, each in features.items() if name not in DEFAULTS}, **DEFAULTS}
         self.tasks: list[str] = []
         self.lengths: list[int] = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import av
 import gymnasium as gym
@@ -113,24 +114,23 @@ def test_statistics_of_parts_are_those_of_the_whole(lengths, seed):
     assert (found["q90"] <= found["max"]).all()
 
 
-def test_images_are_those_of_the_same_simulation(made, tmp_path):
+def test_images_are_those_of_the_same_simulation(made, tmp_path, monkeypatch):
     """A picture per frame, at a constant rate, with statistics of its channels in 0..1."""
-    runs, _, _ = made
-    to_lerobot(runs_of([runs]), tmp_path / "dataset", cameras=("front", "left/wrist"), size=(64, 80))
-    dataset = read_dataset(tmp_path / "dataset")
+    monkeypatch.chdir(tmp_path)
+    runs, folder = made[0], Path("data:set")
+    to_lerobot(runs_of([runs]), folder, cameras=("front", "left/wrist"), size=(64, 80))
+    dataset = read_dataset(folder)
     key = "observation.images.left_wrist"
     assert dataset.features[key].shape == (64, 80, 3)
-    import av
-
-    with av.open(str(tmp_path / f"dataset/videos/{key}/chunk-000/file-001.mp4")) as file:
+    with av.open(str(dataset.folder / f"videos/{key}/chunk-000/file-001.mp4")) as file:
         times = [float(frame.pts * frame.time_base) for frame in file.decode(video=0)]
     assert np.allclose(times, np.arange(STEPS[1]) / 25)
-    stats = json.loads((tmp_path / "dataset/meta/stats.json").read_text())[key]
+    stats = json.loads((folder / "meta/stats.json").read_text())[key]
     assert np.shape(stats["mean"]) == (3, 1, 1)
     assert 0.0 < np.min(stats["mean"]) < np.max(stats["mean"]) < 1.0
-    (tmp_path / f"dataset/videos/{key}/chunk-000/file-001.mp4").unlink()
+    (folder / f"videos/{key}/chunk-000/file-001.mp4").unlink()
     with pytest.raises(DatasetError, match=r"file-001\.mp4 is missing"):
-        read_dataset(tmp_path / "dataset")
+        read_dataset(folder)
 
 
 def test_format_v2_1_has_the_same_frames_and_the_parts_that_gr00t_asks_for(made, tmp_path):

@@ -98,7 +98,7 @@ def check_video(path: Path, frames: int) -> None:
     """
     av = _av()
     try:
-        with av.open(str(path)) as file:
+        with av.open(str(path), format="mp4") as file:  # no list of other files
             stream = file.streams.video[0]
             found = stream.frames or sum(1 for packet in file.demux(stream) if packet.size)
     except (OSError, ValueError, IndexError) as error:  # PyAV's errors are of these kinds

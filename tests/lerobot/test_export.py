@@ -128,7 +128,12 @@ def test_images_are_those_of_the_same_simulation(made, tmp_path, monkeypatch):
     stats = json.loads((folder / "meta/stats.json").read_text())[key]
     assert np.shape(stats["mean"]) == (3, 1, 1)
     assert 0.0 < np.min(stats["mean"]) < np.max(stats["mean"]) < 1.0
-    (folder / f"videos/{key}/chunk-000/file-001.mp4").unlink()
+    video = folder / f"videos/{key}/chunk-000/file-001.mp4"
+    video.rename(video.with_name("other.mp4"))
+    video.write_text("ffconcat version 1.0\nfile other.mp4\n")
+    with pytest.raises(DatasetError, match=r"cannot read the video .*file-001\.mp4"):
+        read_dataset(folder)
+    video.unlink()
     with pytest.raises(DatasetError, match=r"file-001\.mp4 is missing"):
         read_dataset(folder)
 

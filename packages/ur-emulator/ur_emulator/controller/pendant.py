@@ -143,7 +143,9 @@ class Pendant:
         """
         program = self.programs.get(name) or self.files.find(name)
         if program is None:
-            raise UnknownNameError("program", name, (*self.programs, *self.files.names))
+            # A list, not `allowed`: the search for the nearest of many names takes longer than a control period.
+            known = ", ".join(map(repr, (*self.programs, *self.files.names)))
+            raise UnknownNameError("program", name, (), f"one of {known}" if known else "")
         if isinstance(program, ScriptError):
             raise OperationRefusedError(f"{name} is no valid program: {program}")
         self._controller.program.prepare(program)

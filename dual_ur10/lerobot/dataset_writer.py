@@ -81,6 +81,8 @@ class DatasetWriter:
     ) -> None:
         try:
             self.end(whole=kind is None)
+            if isinstance(error, OSError):  # of a table or a video
+                raise error
             if kind is None:
                 self.part.rename(self.folder)
         except OSError as reason:
@@ -108,7 +110,8 @@ class DatasetWriter:
             images: Statistics of its images by feature.
 
         Raises:
-            DatasetError: A column is missing, unknown, or of another shape or type; or the disk is full.
+            DatasetError: A column is missing, unknown, or of another shape or type.
+            OSError: The disk is full. The end of the context makes a DatasetError of it.
         """
         number, count = len(self.lengths), len(next(iter(columns.values())))
         if task not in self.tasks:
@@ -124,10 +127,7 @@ class DatasetWriter:
         }
         self._check(whole, count, images or {})
         found = {name: statistics_of(values) for name, values in whole.items()} | dict(images or {})
-        try:
-            self.write(number, self._table(whole))
-        except OSError as error:
-            raise DatasetError(f"cannot write {self.folder}: {error}") from error
+        self.write(number, self._table(whole))
         self.lengths.append(count)
         self.task_of.append(task)
         self.statistics.append({name: found[name] for name in self.features})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import resource
 from pathlib import Path
 
 import av
@@ -190,6 +191,18 @@ def test_what_cannot_be_exported_is_refused_and_leaves_nothing(made, tmp_path):
         assert [each for each in tmp_path.iterdir() if "dataset" in each.name] == []
     with pytest.raises(DatasetError, match="exists, and nothing is overwritten"):
         to_lerobot([run], folder)
+
+
+@pytest.mark.parametrize("cameras", [(), ("front",)])
+def test_a_full_disk_is_a_named_error_and_leaves_nothing(made, tmp_path, cameras):
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
+    try:
+        with pytest.raises(DatasetError, match=r"cannot write .*dataset: .*File too large"):
+            to_lerobot(runs_of([made[0]]), tmp_path / "dataset", cameras=cameras, size=(64, 80))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert [*tmp_path.iterdir()] == []
 
 
 def test_a_default_that_a_run_states_is_no_other_environment(made, tmp_path):

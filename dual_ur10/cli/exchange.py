@@ -159,7 +159,7 @@ def _print(dataset: Dataset) -> None:
     )
     table = Table("feature", "type", "shape", "names", header_style="bold")
     for name, each in dataset.features.items():
-        table.add_row(escape(name), each.dtype, "x".join(map(str, each.shape)), escape(_names(each.names)))
+        table.add_row(escape(name), escape(each.dtype), "x".join(map(str, each.shape)), escape(_names(each.names)))
     print_whole(table)
 
 

@@ -128,6 +128,13 @@ def test_the_index_of_frames_is_what_every_dataset_has_whatever_it_states(made, 
     assert (found.dtype, found.tolist()) == (expected.dtype, expected.tolist())
 
 
+def test_words_of_a_dataset_are_no_markup(made, tmp_path):
+    folder = shutil.copytree(made[1], tmp_path / "dataset")
+    features_stated("[/a]", dtype="[/b]", shape=[1], names=["[/c]"])(folder)
+    code, text = command("import", "lerobot", str(folder), "--inspect")
+    assert (code, [f"[/{each}]" in text for each in "abc"]) == (0, [True] * 3), text
+
+
 BAD = {
     "no info": (lambda folder: (folder / "meta/info.json").unlink(), "info.json is missing"),
     "no JSON": (lambda folder: (folder / "meta/info.json").write_text("{"), "info.json is no JSON"),

@@ -55,7 +55,7 @@ class _DatasetInfo(BaseModel):
 
     model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
     codebase_version: Annotated[str, Field(max_length=40)]
-    fps: Annotated[float, Field(gt=0.0, le=10_000.0)]
+    fps: Annotated[float, Field(ge=0.1, le=10_000.0)]  # a motion is resampled between its frames
     features: Annotated[dict[str, _FeatureInfo], Field(max_length=_MOST_FEATURES)]
     total_episodes: Annotated[int, Field(ge=0)]
     total_frames: Annotated[int, Field(ge=0)]

@@ -151,6 +151,7 @@ BAD = {
     "no version": (stated(codebase_version=3), "states the version 3"),
     "rate": (stated(fps=30), r"is at 0\.0400 s, and at 30 frames per second belongs to 0\.0333 s"),
     "no rate": (stated(fps=0), "is not legal: fps"),
+    "no motion": (stated(fps=2.0**-30), "is not legal: fps"),
     "features": (stated(features={}), "no feature 'timestamp'"),
     "frames": (stated(total_frames=15), "has 14 frames, and meta/info.json states 15"),
     "episodes": (stated(total_episodes=3), "not those of episodes 0 to 2"),

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import numbers
-from typing import Any, Literal, Protocol, get_args, runtime_checkable
+from typing import Any, Final, Literal, Protocol, get_args, runtime_checkable
 
 import numpy as np
 
@@ -13,6 +12,8 @@ from ur_core.types import Array
 
 MOST_ACTIONS = 1000
 """Largest number of actions in a chunk."""
+
+_LARGEST: Final = 1e6  # beyond any joint; cubics through such numbers still fit into an action's single precision
 
 ChunkMode = Literal["joint_delta", "joint_position"]
 CHUNK_MODES = get_args(ChunkMode)
@@ -85,10 +86,10 @@ def checked_chunk(chunk: object, dt_s: object, size: int, name: str) -> Array:
     if not 1 <= len(found) <= MOST_ACTIONS:
         raise ChunkError(f"{name} returned {len(found)} actions: {allowed}")
     rows = found.astype(np.float64).reshape(-1, 2, size)
-    if not math.isfinite(np.vdot(rows, rows)):
-        step, arm, number = np.argwhere(~(np.abs(rows) < 1e150))[0].tolist()
+    if not np.abs(rows).max() <= _LARGEST:  # of NaN, too
+        step, arm, number = np.argwhere(~(np.abs(rows) <= _LARGEST))[0].tolist()
         raise ChunkError(
             f"number {number} of arm {arm} in action {step} of a chunk of {name} is {rows[step, arm, number]}: all "
-            "must be finite"
+            f"must be finite, of {_LARGEST:g} at most"
         )
     return rows

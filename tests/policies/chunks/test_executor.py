@@ -106,6 +106,7 @@ def raising(rows):
     [
         (lambda rows: spoiled(rows, np.nan), ChunkError, "number 5 of arm 1 in action 14 of a chunk of Once is nan"),
         (lambda rows: spoiled(rows, np.inf), ChunkError, "must be finite"),
+        (lambda rows: spoiled(rows, -1e60), ChunkError, r"is -1e\+60: all must be finite, of 1e\+06 at most"),
         (lambda rows: rows[:, :7], ChunkError, r"\(15, 7\): a chunk is 1 to 1000 actions of 12 numbers"),
         (lambda rows: rows[:0], ChunkError, "returned 0 actions"),
         (lambda rows: np.zeros((1001, 12)), ChunkError, "returned 1001 actions"),

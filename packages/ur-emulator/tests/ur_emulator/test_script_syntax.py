@@ -11,6 +11,7 @@ from lark import Token
 from tests.soak import SOAK
 from ur_core.errors import ScriptRuntimeError, ScriptSyntaxError
 from ur_emulator.script import Machine, library, parse
+from ur_emulator.script.parser import _LARK
 
 BUILTINS = {**library(0.008), "move": lambda q, a=1.4, v=1.05: None}
 
@@ -259,3 +260,11 @@ def test_names_of_arguments_are_compared_a_bounded_number_of_times(monkeypatch):
     with pytest.raises(ScriptSyntaxError):
         parse("move(" + ", ".join(f"a{number}=1" for number in range(500)) + ")", BUILTINS)
     assert compared < 20_000
+
+
+def test_long_numbers_are_read_without_backtracking() -> None:
+    """It would take a time that grows with the square of their digits."""
+    (pattern,) = (each.pattern.value for each in _LARK.terminals if each.name == "NUMBER")
+    assert not re.search(r"\\d[+*](?!\+)", pattern)
+    with pytest.raises(ScriptSyntaxError):
+        parse("x = " + 200_000 * "1" + "x", BUILTINS)

@@ -3,6 +3,7 @@
 import pytest
 
 from tests.ur_emulator.ticking import Bench, program
+from ur_core.protocol.primary_messages import popup_message
 
 BOTH = """
 acos asin atan atan2 binary_list_to_integer ceil cos d2r enable_external_ft_sensor end_force_mode end_freedrive_mode
@@ -75,3 +76,11 @@ def test_a_joint_that_does_not_exist_ends_the_program(bench, joint):
     assert b"get_joint_temp" not in b"".join(bench.controller.messages)
     bench.tick()
     assert b": get_joint_temp" in b"".join(bench.controller.messages)
+
+
+@pytest.mark.parametrize("style", ["warning", "error", "blocking"])
+def test_the_style_of_a_popup_is_reported(bench, style):
+    bench.run(program(f'popup("look", "at", {style}=True)'))
+    bench.tick()
+    expected = popup_message(bench.controller.time_s, "at", "look", **{style: True})
+    assert expected in bench.controller.messages

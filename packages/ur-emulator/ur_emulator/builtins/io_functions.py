@@ -49,7 +49,8 @@ def io_builtins(controller: Controller) -> Builtins:
     def popup(
         s: Any, title: Any = "Popup", warning: bool = False, error: bool = False, blocking: bool = False
     ) -> Generator[None, None, None]:
-        controller.open_popup(text(title), text(s))
+        style = {"warning": _truth(warning), "error": _truth(error), "blocking": _truth(blocking)}
+        controller.open_popup(text(title), text(s), **style)
         while blocking and controller.popup:
             yield
 

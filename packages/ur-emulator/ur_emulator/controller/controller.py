@@ -264,11 +264,15 @@ class Controller:
         self.spend(len(text) // CHARACTERS_PER_STEP)
         self.messages.append(messages.text_message(self.time_s, text))
 
-    def open_popup(self, title: str, text: str) -> None:
-        """Open a popup."""
+    def open_popup(
+        self, title: str, text: str, *, warning: bool = False, error: bool = False, blocking: bool = False
+    ) -> None:
+        """Open a popup, and report it to clients of the primary interface with its style."""
         self.spend(len(text) // CHARACTERS_PER_STEP)
         self.popup = text
-        self.messages.append(messages.popup_message(self.time_s, title, text))
+        self.messages.append(
+            messages.popup_message(self.time_s, title, text, warning=warning, error=error, blocking=blocking)
+        )
 
     def _script_failed(self, error: ScriptError) -> None:
         log.warning("%s: program stopped: %s", self.name, error)

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from tests.soak import scaled
 from tests.ur_emulator.test_script_machine import Robot
 from ur_core.errors import ScriptRuntimeError
+from ur_emulator.script.operations import put_cell
 
 NUMBERS = st.floats(-1e3, 1e3).map(lambda value: round(value, 3))
 OPERATORS = {"+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide, "%": np.mod}
@@ -51,6 +52,16 @@ def test_the_integers_of_a_product_have_32_bits():
     assert evaluate(f"[[{2**30}, {2**30 - 1}], [1, 1.0]] * [1, 1]") == [2**31 - 1, 2.0]
     with pytest.raises(ScriptRuntimeError, match="at most 32 bits"):
         evaluate(f"[[{2**30}, {2**30}], [1, 1]] * [1, 1]")
+
+
+def test_an_assigned_number_leaves_the_other_rows_unread(monkeypatch):
+    """A program that fills a matrix does so for each of its elements."""
+    matrix = [[1, 2], [3, 4]]
+    with pytest.raises(TypeError, match="no lists"):
+        put_cell([1], matrix, 1, 0)
+    monkeypatch.setattr("ur_emulator.script.operations._matrix", None)
+    assert put_cell(1.5, matrix, 1, 0) == [[1, 2], [1.5, 4]]
+    assert matrix == [[1, 2], [3, 4]]
 
 
 def test_operands_are_not_changed():

@@ -132,7 +132,12 @@ def put(value: Any, base: Any, index: Any) -> Any:
 
 def put_cell(value: Any, base: Any, row: Any, column: Any) -> Any:
     """Return a copy of base in which element (row, column) is the value."""
-    return put(put(value, get(base, row), column), base, row)
+    changed_row = put(value, get(base, row), column)
+    if value.__class__ not in _SCALARS:
+        return put(changed_row, base, row)
+    changed = list(base)
+    changed[row] = changed_row  # the other rows were checked before
+    return changed
 
 
 def _check(base: Any, index: Any) -> None:

@@ -174,40 +174,41 @@ class ChildInference:
     def __init__(self, source: ChunkPolicy, planner: ChunkPlanner) -> None:
         close_policy(source)  # its server may take one client only
         self._connection, theirs = Pipe()
-        self._asked: deque[ChunkAnswer] = deque()
+        # A request is sent once the child waits for it: images fill the pipe, and the control loop would wait, too.
+        self._waiting: deque[tuple[ChunkAnswer, Any]] = deque()
+        self._asked: ChunkAnswer | None = ChunkAnswer(0.0, np.zeros(12))  # the child begins with an answer
+        self._begins = False
         with theirs:
             self._child = Child(_answer, theirs.fileno(), source, planner, files=[theirs.fileno()], name="chunks")
 
     def ask(self, answer: ChunkAnswer, observation: Any) -> None:
         """See `Inference`."""
-        self._asked.append(answer)
-        self._send((observation, answer.time_s, answer.commanded))
+        self._waiting.append((answer, (self._begins, observation, answer.time_s, answer.commanded)))
+        self._begins = False
+        self.poll()
 
     def reset(self) -> None:
         """See `Inference`."""
-        self._send(None)
-
-    def _send(self, request: Any) -> None:
-        try:
-            self._connection.send(request)
-        except OSError:
-            self._lose()
+        self._waiting.clear()  # of an episode that has ended
+        self._begins = True
 
     def poll(self) -> None:
         """See `Inference`."""
         try:
-            while self._asked and self._connection.poll():
-                found = self._connection.recv()
-                answer = self._asked.popleft()
-                answer.plan, answer.error = found
-                answer.done = True
+            if self._asked is not None and self._connection.poll():
+                self._asked.plan, self._asked.error = self._connection.recv()
+                self._asked.done, self._asked = True, None
+            if self._asked is None and self._waiting:
+                self._asked, request = self._waiting.popleft()
+                self._connection.send(request)
         except (OSError, EOFError):
             self._lose()
 
     def _lose(self) -> None:
         """Let all requests fail, since the process is gone."""
-        while self._asked:
-            answer = self._asked.popleft()
+        lost = [answer for answer, _ in self._waiting] + ([] if self._asked is None else [self._asked])
+        self._waiting.clear()
+        for answer in lost:
             answer.error = ChunkError("the process that asks the chunk policy has ended: see what it printed")
             answer.done = True
 
@@ -220,13 +221,12 @@ class ChildInference:
 def _answer(number: int, source: ChunkPolicy, planner: ChunkPlanner) -> None:
     """ChunkAnswer requests of `ChildInference` until its end is closed."""
     with Connection(number) as connection, contextlib.suppress(OSError, EOFError):
+        connection.send((None, None))
         while True:
-            request = connection.recv()
-            if request is None:
+            begins, observation, time_s, commanded = connection.recv()
+            if begins:
                 with contextlib.suppress(Exception):  # the next chunk shows what is wrong
                     source.reset()
-                continue
-            observation, time_s, commanded = request
             answer = ChunkAnswer(time_s, commanded)
             fill(answer, source, observation, planner)
             connection.send((answer.plan, _portable(answer.error)))

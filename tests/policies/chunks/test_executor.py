@@ -17,7 +17,7 @@ from dual_ur10.policies import evaluate, load, make, rollout
 from dual_ur10.policies.chunks.executor import ChunkExecutor
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.testing import check_policy
-from tests.policies.chunks.sources import Arms, Once, Portable, Sway
+from tests.policies.chunks.sources import Arms, Once, Portable, Sway, Waiting
 
 LIMITS = MotionLimits(speed_rad_s=(1.2,) * 6, acceleration_rad_s2=10.0, jerk_rad_s3=2000.0, tcp_speed_m_s=1.5)
 
@@ -214,6 +214,32 @@ def test_a_portable_chunk_policy_is_asked_in_a_child_process_whose_end_is_an_err
     assert executor.source.asked == []  # it was asked elsewhere
     assert (np.array(arms.differences()) <= [1.2, 10.0, 2000.0]).all()
     executor.close()
+    executor.close()
+
+
+class Pictured(Arms):
+    """Arms whose observations do not fit into a pipe."""
+
+    def observation(self):
+        return {"state": super().observation(), "pixels": {"front": np.zeros((480, 640, 3), dtype=np.uint8)}}
+
+
+def test_no_action_waits_for_a_child_process_that_is_still_asked_for_the_episode_before(tmp_path):
+    """Its long chunk fits into no pipe either: both processes would wait for each other."""
+    executor = executor_of(Waiting(tmp_path, count=1000, dt_s=0.04), real_time=True, silent_s=math.inf)
+    connection = executor._inference._connection
+    for _ in range(2):
+        arms = Pictured(executor)
+        executor.reset()
+        arms.step()
+        while not (tmp_path / "begun").exists():
+            threading.Event().wait(0.01)
+            arms.step()
+    assert not (tmp_path / "late").exists()
+    (tmp_path / "let").touch()
+    while not executor.splices:
+        assert connection.poll(30.0)
+        arms.step()
     executor.close()
 
 

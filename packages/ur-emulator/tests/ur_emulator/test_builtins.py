@@ -84,3 +84,25 @@ def test_the_style_of_a_popup_is_reported(bench, style):
     bench.tick()
     expected = popup_message(bench.controller.time_s, "at", "look", **{style: True})
     assert expected in bench.controller.messages
+
+
+def test_a_contact_lasts_since_a_force_against_its_direction_began(bench):
+    """In each direction for itself, whoever asked before, and since before the first question."""
+    bench.tick()
+    bench.wrench[0] = -50.0
+    bench.tick(3)
+    directions = "[1, 0, 0, 0, 0, 0]", "[-1, 0, 0, 0, 0, 0]", "[2, 2, 0, 0, 0, 0]", ""
+    asked = "".join(
+        f"  write_output_integer_register({k}, tool_contact({each}))\n" for k, each in enumerate(directions)
+    )
+    bench.run(program(f"while True:\n{asked}  sync()\nend"))
+    outputs = bench.controller.registers.output_int
+    bench.tick()
+    assert outputs[:4] == [4, 0, 4, 4]
+    bench.tick()
+    assert outputs[:4] == [5, 0, 5, 5]
+    bench.wrench[:2] = 50.0, -20.0
+    bench.tick()
+    assert outputs[:4] == [0, 1, 0, 6]
+    bench.tick(2000)
+    assert outputs[:4] == [0, 999, 0, 999]

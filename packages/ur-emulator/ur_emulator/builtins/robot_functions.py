@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, Final
 
 import numpy as np
@@ -21,6 +22,7 @@ from ur_emulator.script.values import number
 # ruff: noqa: N803
 
 _CONTACT_N: Final = 15.0  # against a direction; UR publishes no threshold of tool_contact
+_PERIODS_PER_STEP: Final = 8  # of a contact, that count for one more statement
 
 
 def _numbers(values: Any, count: int, what: str) -> list[float]:
@@ -46,7 +48,7 @@ class _RobotFunctions(Functions):
 
     def __init__(self, controller: Controller) -> None:
         super().__init__(controller)
-        self._values, self._payload, self._contact = controller.values, controller.payload, _Contact(controller)
+        self._values, self._payload = controller.values, controller.payload
 
     def get_actual_joint_positions(self) -> list[float]:
         return [float(each) for each in self._controller.reading.q_rad]
@@ -196,7 +198,15 @@ class _RobotFunctions(Functions):
         self._controller.protective_stop("C209A0", "the program asked for it")
 
     def tool_contact(self, direction: Any = (0.0,) * 6) -> int:
-        return self._contact.steps(_six(direction, "a direction"))
+        x, y, z = towards = _six(direction, "a direction")[:3]
+        length, steps = math.hypot(*towards), 0
+        for force in reversed(self._controller.forces):
+            push = math.hypot(*force) if length < 1e-9 else -(x * force[0] + y * force[1] + z * force[2]) / length
+            if not push > _CONTACT_N:
+                break
+            steps += 1
+        self._controller.spend(steps // _PERIODS_PER_STEP)
+        return min(steps, len(self._controller.history) - 1)
 
 
 def robot_builtins(controller: Controller) -> Builtins:
@@ -205,23 +215,3 @@ def robot_builtins(controller: Controller) -> Builtins:
     functions["ft_rtde_input_enable"] = functions["enable_external_ft_sensor"]
     functions["get_joint_positions"] = functions["get_actual_joint_positions"]  # its name in older programs
     return functions
-
-
-class _Contact:
-    """Duration of a contact force on the tool."""
-
-    def __init__(self, controller: Controller) -> None:
-        self._controller = controller
-        self._tick, self._steps = -1, 0
-
-    def steps(self, direction: list[float]) -> int:
-        """Return the control periods since the force against `direction` began; 0 without one."""
-        towards = np.array(direction[:3])
-        length = float(np.linalg.norm(towards))
-        force = self._controller.wrench[:3]
-        push = float(np.linalg.norm(force)) if length < 1e-9 else -float(force @ towards) / length
-        if self._tick != self._controller.ticks:
-            gone = max(1, self._controller.ticks - self._tick) if self._steps else 1
-            self._tick = self._controller.ticks
-            self._steps = self._steps + gone if push > _CONTACT_N else 0
-        return min(self._steps, len(self._controller.history) - 1)

@@ -40,7 +40,7 @@ _ROBOT_BITS: Final = (  # by power, and by a running program: operations on flag
 )
 _RUNNING: Final = (int(JointMode.RUNNING),) * 6
 
-_HISTORY: Final = 1000  # control periods of joint positions kept for programs
+_HISTORY: Final = 1000  # control periods of joint positions and forces kept for programs
 _SETPOINTS: Final = 50_000  # executed servoj targets kept
 _MESSAGES: Final = 256
 
@@ -127,6 +127,7 @@ class Controller:
         self._overridden: dict[str, Any] = {}
         self.remote_control: bool | None = True  # None: its settings offer none, as those of URSim do
         self.history: deque[tuple[float, ...]] = deque(maxlen=_HISTORY)
+        self.forces: deque[tuple[float, ...]] = deque(maxlen=_HISTORY)
         self.setpoints: deque[Setpoint] = deque(maxlen=_SETPOINTS)
         self.setpoints_count = 0
         self.external_sensor = False
@@ -333,6 +334,7 @@ class Controller:
         if self.external_sensor and self.io.external_wrench is not None:
             self.wrench = np.array(self.io.external_wrench)
         self.history.append(tuple(reading.q_rad.tolist()))
+        self.forces.append(tuple(self.wrench[:3].tolist()))
 
     def _publish(self, qdd: Array) -> None:
         """Update the values that are reported to clients."""

@@ -508,6 +508,29 @@ def test_a_watchdog_may_pause(bench):
     assert bench.state == RuntimeState.PLAYING
 
 
+@pytest.mark.parametrize("unfed", [0, 1])
+def test_each_variable_has_a_watchdog_of_its_own(bench, unfed):
+    bench.run(program("".join(f'rtde_set_watchdog("input_int_register_{k}", 10, "stop")\n' for k in (0, 1)) + IDLE))
+    writes = bench.controller.registers.writes
+    for _ in range(60):
+        writes["input_int_register_0"] = writes["input_int_register_1"] = bench.controller.ticks
+        bench.tick()
+    assert bench.state == RuntimeState.PLAYING
+    for _ in range(14):
+        writes[f"input_int_register_{1 - unfed}"] = bench.controller.ticks
+        bench.tick()
+    assert bench.state != RuntimeState.PLAYING
+
+
+@pytest.mark.parametrize("end", ['"ignore"', '"stop"'])
+def test_a_watchdog_is_set_anew(bench, end):
+    frequency = 10 if end == '"ignore"' else 0.1
+    text = 'rtde_set_watchdog("input_int_register_0", 10, "stop")\n'
+    bench.run(program(f'{text}rtde_set_watchdog("input_int_register_0", {frequency}, {end})\n{IDLE}'))
+    bench.tick(60)
+    assert bench.state == RuntimeState.PLAYING
+
+
 @pytest.mark.parametrize("between", [0, 40])
 def test_a_watchdog_ends_with_its_program(bench, between):
     bench.run(program('rtde_set_watchdog("input_int_register_0", 10, "stop")\n' + IDLE))

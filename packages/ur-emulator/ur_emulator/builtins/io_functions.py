@@ -57,7 +57,10 @@ def io_builtins(controller: Controller) -> Builtins:
     def rtde_set_watchdog(variable_name: str, min_frequency: float, action: str = "pause") -> None:
         if action not in _WATCHDOG_ACTIONS:
             raise MotionError(f"a watchdog's action is {action!r}: it must be one of {', '.join(_WATCHDOG_ACTIONS)}")
-        controller.watchdog = _watchdog(controller, variable_name, float(number(min_frequency)), action)
+        watchdog = _watchdog(controller, variable_name, float(number(min_frequency)), action)
+        controller.watchdogs.pop(variable_name, None)
+        if watchdog is not None:
+            controller.watchdogs[variable_name] = watchdog
         controller.received.watchdog = (controller.ticks, float(min_frequency), action)
 
     functions = (set_analog_out, set_analog_outputdomain, set_tool_voltage, textmsg, popup, rtde_set_watchdog)

@@ -133,7 +133,7 @@ class Controller:
         self.external_sensor = False
         self.popup = ""
         self.messages: deque[bytes] = deque(maxlen=_MESSAGES)
-        self.watchdog: Watchdog | None = None
+        self.watchdogs: dict[str, Watchdog] = {}
         self.watchdog_acts = True
         self.wrench: Array = np.zeros(6)
         self._wanted: Array = np.array(q_rad, dtype=float)
@@ -293,24 +293,22 @@ class Controller:
             machine.spend(steps)
 
     def _watch(self) -> None:
-        watchdog = self.watchdog
-        if watchdog is None:
-            return
-        if self.program.machine is None or self.program.machine is not watchdog.machine:
-            self.watchdog = None  # it ends with the program that set it
-            return
-        if watchdog.is_fed(self.registers, self.profile.assumptions.watchdog_counts_unchanged):
-            return
-        watchdog.since_s += self.profile.tick_s
-        if watchdog.since_s > watchdog.period_s and self.watchdog_acts:
-            log.warning("%s: the watchdog on %s was not fed for %.3g s", self.name, watchdog.name, watchdog.since_s)
-            text = f"no client wrote {watchdog.name} for {watchdog.since_s:.3g} s: {watchdog.action}"
-            self._announce("RTDE_WATCHDOG", text)
-            self.watchdog = None
-            if watchdog.action == "pause":
-                self.program.pause()
-            else:
-                self.program.stop("its watchdog was not fed")
+        for name, watchdog in tuple(self.watchdogs.items()):
+            if watchdog.machine is None or watchdog.machine is not self.program.machine:
+                del self.watchdogs[name]  # it ends with the program that set it
+                continue
+            if watchdog.is_fed(self.registers, self.profile.assumptions.watchdog_counts_unchanged):
+                continue
+            watchdog.since_s += self.profile.tick_s
+            if watchdog.since_s > watchdog.period_s and self.watchdog_acts:
+                log.warning("%s: the watchdog on %s was not fed for %.3g s", self.name, name, watchdog.since_s)
+                text = f"no client wrote {name} for {watchdog.since_s:.3g} s: {watchdog.action}"
+                self._announce("RTDE_WATCHDOG", text)
+                del self.watchdogs[name]
+                if watchdog.action == "pause":
+                    self.program.pause()
+                else:
+                    self.program.stop("its watchdog was not fed")
 
     # Measured and reported values.
 

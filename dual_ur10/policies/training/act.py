@@ -38,7 +38,6 @@ class ActImitator(DemonstrationLearner):
             raise TrainingError(f"{self._asked.algorithm} learns no chunks")
         self._settings: ActSettings = self._asked.settings
         self._shape, self._tensors = act_shape(self._settings, self._view), tensors
-        self._backbone = read_backbone(self._settings.backbone) if self._settings.backbone and not tensors else None
 
     def _add(self, samples: Samples, begun: float) -> None:
         self._gradient_steps, self._tensors = 0, None  # with more samples the fit begins anew
@@ -48,9 +47,11 @@ class ActImitator(DemonstrationLearner):
         """Fit a transformer to all samples, and save its policy at each check at which it is the best so far."""
         settings = self._settings
         seed = seed_of(self._asked.seed, number)
-        fit = ActFit(settings, self._shape, self._chunks(), self._blind, seed, self._backbone)
-        if self._gradient_steps and self._tensors:
-            fit.restore(self._tensors, self._gradient_steps)
+        saved = self._tensors if self._gradient_steps else None
+        backbone = read_backbone(settings.backbone) if settings.backbone and not saved else None
+        fit = ActFit(settings, self._shape, self._chunks(), self._blind, seed, backbone)
+        if saved:
+            fit.restore(saved, self._gradient_steps)
 
         def on_step(step: int, loss: float) -> None:
             self._tell(f"fitting, {100 * step // settings.fit_steps} %, deviation {loss:.4f}")

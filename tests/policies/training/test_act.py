@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from dual_ur10.policies.learned.act_network import ActNetwork, ActShape
 from dual_ur10.policies.learned.act_torch import ActImageNetwork
 from dual_ur10.policies.learned.resnet import RESNET18
 from dual_ur10.policies.learned.signature import view_of
-from dual_ur10.policies.training import state
+from dual_ur10.policies.training import act, state
 from dual_ur10.policies.training.act import ActImitator
 from dual_ur10.policies.training.act_fit import ActFit, Chunks
 from dual_ur10.policies.training.folder import TrainingFolder, read_backbone
@@ -279,6 +280,26 @@ def test_a_fit_begins_with_the_backbone_of_a_file(tmp_path: Path) -> None:
     shape, chunks = _sides(rng)
     begun = ActFit(ActSettings(), shape, chunks, [], 0, read_backbone(str(path))).tensors()
     assert {name for name, each in given.items() if begun[f"backbone.{name}"].tobytes() != each.tobytes()} == set()
+
+
+def test_a_longer_training_begins_with_the_backbone_again(
+    pictured: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, path = shutil.copytree(pictured.parent, tmp_path / "out"), tmp_path / "resnet.safetensors"
+    state.save_tensors(path, {name: np.ones(size, dtype=np.float32) for name, size in RESNET18.items()})
+    asked = json.loads((folder / "training.json").read_text())
+    asked["settings"] |= {"backbone": str(path), "demonstrations": 0}
+    (folder / "training.json").write_text(json.dumps(asked))
+    given: list[Any] = []
+
+    def begun(*arguments: Any) -> ActFit:
+        given.append(arguments[-1])
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(act, "ActFit", begun)
+    with pytest.raises(KeyboardInterrupt):
+        resume(folder, steps=40)
+    assert [{*each} for each in given] == [{*RESNET18}]
 
 
 def test_a_file_of_another_backbone_is_refused(tmp_path: Path) -> None:

@@ -531,6 +531,36 @@ def test_a_watchdog_is_set_anew(bench, end):
     assert bench.state == RuntimeState.PLAYING
 
 
+def test_any_input_has_a_watchdog(bench):
+    for name in ("external_force_torque", "input_bit_registers0_to_31", "speed_slider_mask"):
+        bench.run(program(f'rtde_set_watchdog("{name}", 10, "stop")\n{IDLE}'))
+        for _ in range(6):
+            bench.tick(10)
+            bench.controller.registers.writes[name] += 1
+            assert bench.state == RuntimeState.PLAYING
+        assert 12 <= bench.until(lambda: bench.state != RuntimeState.PLAYING) <= 14
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "pauses"),
+    [
+        ("", "", True),
+        ("", "ft_rtde_input_enable(False)", False),
+        ('rtde_set_watchdog("input_int_register_0", 0.1)', "", False),
+        ('rtde_set_watchdog("external_force_torque", 10)', "ft_rtde_input_enable(False)", True),
+    ],
+)
+def test_a_silent_external_sensor_pauses_its_program(bench, before, after, pauses):
+    """Unless the program has set a watchdog of its own, which stays."""
+    bench.run(program(f"{before}\nft_rtde_input_enable(True)\n{after}\n{IDLE}"))
+    for _ in range(6):
+        bench.tick(10)
+        bench.controller.registers.writes["external_force_torque"] += 1
+        assert bench.state == RuntimeState.PLAYING
+    bench.tick(60)
+    assert (bench.state == RuntimeState.PAUSED) == pauses
+
+
 @pytest.mark.parametrize("between", [0, 40])
 def test_a_watchdog_ends_with_its_program(bench, between):
     bench.run(program('rtde_set_watchdog("input_int_register_0", 10, "stop")\n' + IDLE))

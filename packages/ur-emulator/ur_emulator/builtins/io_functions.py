@@ -10,6 +10,7 @@ from ur_core.errors import MotionError
 from ur_emulator.controller.controller import Controller
 from ur_emulator.controller.inputs_outputs import CONFIGURABLE, STANDARD, TOOL, InputsOutputs
 from ur_emulator.controller.registers import Registers, Watchdog
+from ur_emulator.controller.rtde_variables import input_types
 from ur_emulator.script import Builtins, text
 from ur_emulator.script.values import number
 
@@ -131,25 +132,16 @@ def _digital_builtins(io: InputsOutputs) -> Builtins:
 
 
 def _watchdog(controller: Controller, name: str, frequency: float, action: str) -> Watchdog | None:
-    if not isinstance(name, str):
-        raise MotionError(f"a watchdog needs the name of a register, found {name!r}")
+    if not isinstance(name, str) or name not in input_types(controller.profile):
+        raise MotionError(
+            f"a watchdog cannot be set on {name!r}: it must be an RTDE input, such as input_int_register_0"
+        )
     if not math.isfinite(frequency):
         raise MotionError(f"a watchdog's frequency is {frequency!r}: it must be a number of Hz")
     if action == "ignore" or frequency <= 0.0:
         return None
-    kind, _, index = name.rpartition("_")
-    known: dict[str, list[Any]] = {
-        "input_int_register": controller.registers.input_int,
-        "input_double_register": controller.registers.input_double,
-    }
-    if kind not in known or not index.isdigit():
-        raise MotionError(
-            f"a watchdog cannot be set on {name!r}: it must be an input register, such as input_int_register_0"
-        )
-    _register(int(index), known[kind])
     writes = controller.registers.writes.get(name, 0)
-    values, place = known[kind], int(index)
-    return Watchdog(name, 1.0 / frequency, action, writes, controller.program.machine, lambda: values[place])
+    return Watchdog(name, 1.0 / frequency, action, writes, controller.program.machine)
 
 
 def _within(n: int, count: int) -> int:

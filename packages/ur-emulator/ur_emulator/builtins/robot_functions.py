@@ -192,7 +192,7 @@ class _RobotFunctions(Functions):
         sensor_measuring_offset: Any = (0.0,) * 3,
         sensor_cog: Any = (0.0,) * 3,
     ) -> None:
-        self._controller.external_sensor = bool(enable)
+        self._controller.use_external_sensor(bool(enable))
 
     def protective_stop(self) -> None:
         self._controller.protective_stop("C209A0", "the program asked for it")

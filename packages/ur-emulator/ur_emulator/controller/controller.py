@@ -56,6 +56,9 @@ STEADY_RAD: Final = 0.01
 STEADY_RAD_S: Final = 0.001
 REDUCED_SPEED: Final = 0.5  # ratio of the speed in reduced mode; a real one depends on the safety configuration
 
+SENSOR_S: Final = 0.1
+"""Longest time between two wrenches of an external sensor: UR's script manual."""
+
 CHARACTERS_PER_STEP: Final = 64
 """Characters of a text that count for one more statement of the program that sends it."""
 
@@ -134,6 +137,7 @@ class Controller:
         self.popup = ""
         self.messages: deque[bytes] = deque(maxlen=_MESSAGES)
         self.watchdogs: dict[str, Watchdog] = {}
+        self._sensor_watchdog: Watchdog | None = None
         self.watchdog_acts = True
         self.wrench: Array = np.zeros(6)
         self._wanted: Array = np.array(q_rad, dtype=float)
@@ -291,6 +295,19 @@ class Controller:
         machine = self.program.running
         if machine is not None:
             machine.spend(steps)
+
+    def use_external_sensor(self, enable: bool) -> None:
+        """Take forces from the sensor that an RTDE client reports, or the arm's own again.
+
+        Where a program has set no other watchdog, one pauses it if that client falls silent: UR's script manual.
+        """
+        self.external_sensor, name = enable, "external_force_torque"
+        if enable and not self.watchdogs:
+            writes, machine = self.registers.writes.get(name, 0), self.program.machine
+            self._sensor_watchdog = Watchdog(name, SENSOR_S, "pause", writes, machine)
+            self.watchdogs[name] = self._sensor_watchdog
+        elif not enable and self.watchdogs.get(name) is self._sensor_watchdog:
+            self.watchdogs.pop(name, None)
 
     def _watch(self) -> None:
         for name, watchdog in tuple(self.watchdogs.items()):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -70,15 +69,14 @@ class Registers:
 
 @dataclass
 class Watchdog:
-    """Demand of a program that a client keeps writing a register.
+    """Demand of a program that a client keeps writing a variable.
 
     Attributes:
-        name: RTDE name of the register.
+        name: RTDE name of the variable.
         period_s: Longest time between two writes.
         action: "pause" or "stop".
         writes: Number of writes at the last check.
         machine: Program that set it.
-        value: Getter of the register.
         since_s: Time since the last write.
         last: Value at the last check.
     """
@@ -88,13 +86,13 @@ class Watchdog:
     action: str
     writes: int
     machine: object
-    value: Callable[[], Any]
     since_s: float = 0.0
     last: Any = None
 
     def is_fed(self, registers: Registers, counts_unchanged: bool) -> bool:
-        """Return True if the register was written since the last check."""
-        writes, value = registers.writes.get(self.name, 0), self.value()
+        """Return True if the variable was written since the last check. One that is no register counts as changed."""
+        writes, register = registers.writes.get(self.name, 0), registers.find(self.name)
+        value = writes if register is None else register[0][register[1]]
         fed = writes != self.writes and (counts_unchanged or value != self.last)
         self.writes, self.last = writes, value
         if fed:

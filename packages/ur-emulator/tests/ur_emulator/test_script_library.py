@@ -114,7 +114,10 @@ def test_roll_pitch_yaw_at_90_degrees(pitch: float, roll: float) -> None:
         ("to_num", ("12",), 12),
         ("to_num", (" -12.5e1 ",), -125.0),
         ("to_str", ([1, 2.5, True],), "[1, 2.5, True]"),
-        ("to_str", (Pose([0] * 6),), "p[0.0, 0.0, 0.0, 0.0, 0.0, 0.0]"),
+        ("to_str", (Pose([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]),), "p[1, 2, 3, 4, 5, 6]"),
+        ("to_str", (2.123456123456,), "2.123456"),
+        ("to_str", ([10.0, -0.25, 1e-7, 1e20, math.inf],), "[10, -0.25, 0, 100000000000000000000, inf]"),
+        ("str_cat", ("x = ", 1.50), "x = 1.5"),
         ("to_str", ("a",), "a"),
     ],
 )
@@ -161,4 +164,4 @@ def test_poses_have_six_numbers() -> None:
         Pose([1] * 5)
     with pytest.raises(TypeError, match="found a string"):
         Pose([0, 0, 0, 0, 0, "a"])  # type: ignore[list-item]
-    assert text(Pose([1, 0, 0, 0, 0, 0])) == "p[1.0, 0.0, 0.0, 0.0, 0.0, 0.0]"
+    assert text(Pose([1, 0, 0, 0, 0, 0])) == "p[1, 0, 0, 0, 0, 0]"

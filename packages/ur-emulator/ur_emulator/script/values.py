@@ -6,6 +6,7 @@ element makes a new one. So a builtin must change neither a list that it receive
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Final, TypeVar
 
@@ -99,7 +100,9 @@ def fitting(value: Number) -> Number:
 
 
 def text(value: object) -> str:
-    """Format a value as `textmsg` and `to_str` do."""
+    """Format a value as `textmsg` and `to_str` do: floats with at most six decimals (UR's script manual)."""
     if isinstance(value, list):
         return f"{'p' if isinstance(value, Pose) else ''}[{', '.join(map(text, value))}]"
+    if isinstance(value, float) and math.isfinite(value):
+        return f"{value:.6f}".rstrip("0").rstrip(".")
     return str(value)

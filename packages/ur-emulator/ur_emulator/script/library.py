@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import random as _random
+import re
 from collections.abc import Callable
 from typing import Any, Final
 
@@ -15,6 +16,12 @@ from ur_emulator.script.machine import machine_functions
 from ur_emulator.script.values import INT_MAX, TEXT_MAX, Builtins, fitting, integer, kind, number, text
 
 _BITS: Final = 32
+_SHOWN: Final = 40  # characters of a wrong number
+_NUMBER: Final = re.compile(
+    r"\s*+(?P<sign>[+-]?)(?:(?P<decimal>\d++)|0x(?P<hexadecimal>[\da-f]++)"
+    r"|(?P<float>(?:\d++\.?\d*+|\.\d++)(?:e[+-]?\d++)?)|inf(?:inity)?|nan)",
+    re.IGNORECASE | re.ASCII,
+)
 
 
 def library(tick_s: float) -> Builtins:
@@ -125,20 +132,29 @@ def str_len(str: str) -> int:  # noqa: A002
     return len(_text(str))
 
 
-def str_sub(src: str, index: int, len: int = -1) -> str:  # noqa: A002
+def str_sub(src: str, index: int, len: int | None = None) -> str:  # noqa: A002
     """Substring of `len` characters from an index on, or of all that follow."""
-    if integer(index) < 0:
-        raise IndexError(f"the index must be at least 0, found {index}")
-    return _text(src)[index:] if integer(len) < 0 else _text(src)[index : index + len]
+    if not 0 <= integer(index) <= str_len(src):
+        raise IndexError(f"the index {index} is outside of 0 to {str_len(src)}")
+    if len is not None and integer(len) < 0:
+        raise IndexError(f"the length must be at least 0, found {len}")
+    return src[index:] if len is None else src[index : index + len]
 
 
 def to_num(str: str) -> float | int:  # noqa: A002
-    """Parse a number."""
-    word = _text(str).strip()
-    # Check the length first: Python parses long integers slowly, or refuses them.
-    if len(word) <= 11 and word.lstrip("+-").isdecimal():
-        return fitting(int(word))
-    return float(word)
+    """Parse a number, a float if it has a decimal point or an exponent."""
+    found = _NUMBER.fullmatch(_text(str))
+    if found is None:
+        raise ValueError(f"this is no number: {str[:_SHOWN]!r}")
+    whole = found["decimal"] or found["hexadecimal"]
+    if whole is None:
+        value = float(str)
+        if math.isinf(value) and found["float"]:
+            raise OverflowError(f"this number is too large for a float: {str[:_SHOWN]!r}")
+        return value
+    if len(whole) > _SHOWN:  # of which Python refuses thousands
+        raise OverflowError(f"an integer has at most 32 bits: {whole[:_SHOWN]}... is too large")
+    return fitting(int(found["sign"] + whole, 10 if found["decimal"] else 16))
 
 
 def to_str(val: Any) -> str:

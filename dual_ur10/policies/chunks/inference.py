@@ -66,6 +66,7 @@ class ChunkPlanner:
         dt_s, mode = source.dt_s, source.action_mode
         check_mode(mode, self._name)
         rows = checked_chunk(chunk, dt_s, self._size, self._name)
+        dt_s = float(dt_s)  # sums with numbers of lower precision would be of that, too
         actions = rows[..., :6].reshape(-1, 12)
         if mode == "joint_position":
             path = ChunkPath(time_s + dt_s, dt_s, actions)

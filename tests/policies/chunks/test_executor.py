@@ -86,6 +86,16 @@ def test_actions_whose_time_has_passed_are_dropped():
     assert np.ptp(arms.path[-50:], axis=0).max() == 0.0
 
 
+@pytest.mark.parametrize("kind", [np.float32, np.float16])
+def test_times_are_exact_whatever_the_precision_of_dt_s(kind):
+    paths = []
+    for dt_s in (0.125, kind(0.125)):
+        arms = Arms(executor_of(Sway(dt_s=dt_s), latency_s=0.08, action_mode="joint_position"), "joint_position")
+        arms.time_s = 7200.04
+        paths.append(arms.run(1.0))
+    assert np.array_equal(*paths)
+
+
 def test_measured_positions_have_no_effect():
     paths = [Arms(executor_of(Sway(), latency_s=0.1), seed=seed).run(2.0) for seed in (1, 2)]
     assert np.array_equal(*paths)

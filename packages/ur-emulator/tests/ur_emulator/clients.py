@@ -98,6 +98,7 @@ def moves(host):
     pose = _shifted(pose, [0.0, 0.04, 0.0, 0.0, 0.0, 0.0])
     done["moveJ_IK"] = [control.moveJ_IK(pose, 1.0, 2.0), pose, _settled(receive.getActualTCPPose)]
     done["moveL_FK"] = [control.moveL_FK(there, 0.3, 1.0), there, _settled(receive.getActualQ)]
+    time.sleep(0.6)
     done["isSteady"] = control.isSteady()
 
     control.moveJ(home, 0.3, 0.5, True)

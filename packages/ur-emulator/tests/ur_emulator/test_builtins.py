@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.ur_emulator.ticking import Bench, program
+from tests.ur_emulator.ticking import HOME, Bench, program
 from ur_core.protocol.primary_messages import popup_message
 
 BOTH = """
@@ -106,3 +106,18 @@ def test_a_contact_lasts_since_a_force_against_its_direction_began(bench):
     assert outputs[:4] == [0, 1, 0, 6]
     bench.tick(2000)
     assert outputs[:4] == [0, 999, 0, 999]
+
+
+def test_an_arm_is_steady_once_it_has_stood_for_half_a_second(bench):
+    asked = (
+        "thread ask():\n while True:\n  write_output_boolean_register(0, is_steady())\n  sync()\n end\nend\nrun ask()\n"
+    )
+    bench.run(program(f"{asked}movej({[0.2, *HOME[1:]]})\nsleep(9)"))
+    outputs = bench.controller.registers.output_bits
+    bench.until(lambda: not bench.controller.motion.moving and bench.controller.ticks > 9)
+    assert 0.48 <= bench.until(lambda: outputs[0]) * bench.tick_s <= 0.52
+    bench.passing(1.0)
+    assert outputs[0]
+    bench.run(program(f"{asked}speedj([0.1, 0, 0, 0, 0, 0], 1, 1)"))
+    bench.tick(2)
+    assert not outputs[0]

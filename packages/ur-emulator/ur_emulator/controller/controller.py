@@ -54,6 +54,9 @@ _ENCODER_RAD: Final = 1e-12  # smallest motion that is measured: a solver leaves
 
 STEADY_RAD: Final = 0.01
 STEADY_RAD_S: Final = 0.001
+STEADY_S: Final = 0.5
+"""Time for which an arm has to stand until it is steady: UR's script manual."""
+
 REDUCED_SPEED: Final = 0.5  # ratio of the speed in reduced mode; a real one depends on the safety configuration
 
 SENSOR_S: Final = 0.1
@@ -142,6 +145,7 @@ class Controller:
         self.wrench: Array = np.zeros(6)
         self._wanted: Array = np.array(q_rad, dtype=float)
         self._deviating = 0
+        self._standing = 0  # control periods
         self._ran = False
         self._raw_wrench: Array = np.zeros(6)
         self._wrench_zero: Array = np.zeros(6)
@@ -191,6 +195,7 @@ class Controller:
         self._ran = self.program.machine is not None
         before = self.motion.qd.copy()
         plan: Array = self.motion.plan(self.program.scaling, wrench=self.wrench, q_actual=reading.q_rad)
+        self._standing = self._standing + 1 if self._stands else 0
         self._check_faults(reading)
         # Under torque control no acceleration is commanded.
         commanded = np.zeros(6) if self.motion.torques is not None else self.motion.qd - before
@@ -384,7 +389,11 @@ class Controller:
 
     @property
     def steady(self) -> bool:
-        """True if the arm stands and no motion is commanded."""
+        """True if the arm has stood for half a second, and no motion was commanded."""
+        return self._standing * self.profile.tick_s >= STEADY_S
+
+    @property
+    def _stands(self) -> bool:
         there = float(np.abs(self.motion.q - self.reading.q_rad).max()) < STEADY_RAD
         return not self.motion.moving and there and float(np.abs(self.reading.qd_rad_s).max()) < STEADY_RAD_S
 

@@ -610,6 +610,23 @@ def test_payload_and_tcp_change_reported_values(bench):
     assert bench.controller.values["actual_TCP_force"][2] == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.parametrize("text", ["set_payload(1)", "set_payload_mass(1)", "set_payload_cog([0, 0, 0.1])"])
+def test_a_payload_without_an_inertia_has_none(bench, text):
+    bench.run(program(f"set_target_payload(1, [0, 0, 0], [1, 2, 133, -133, 0, 0])\nsync()\n{text}"))
+    bench.tick()
+    assert bench.controller.values["payload_inertia"] == (1, 2, 133, -133, 0, 0)
+    bench.tick()
+    assert bench.controller.values["payload_inertia"] == (0,) * 6
+
+
+@pytest.mark.parametrize("inertia", ["[134, 0, 0, 0, 0, 0]", "[0, 0, -1, 0, 0, 0]", "[0, 0, 0, 0, -134, 0]"])
+def test_an_inertia_that_no_payload_has_ends_the_program(bench, inertia):
+    bench.run(program(f"set_target_payload(1, [0, 0, 0], {inertia})\n{IDLE}"))
+    bench.tick(2)
+    assert bench.state != RuntimeState.PLAYING
+    assert bench.controller.payload.mass_kg == 0.0
+
+
 def test_derived_values_are_computed_once_and_leave_overrides(bench):
     made = []
 

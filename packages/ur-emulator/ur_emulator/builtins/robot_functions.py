@@ -22,6 +22,7 @@ from ur_emulator.script.values import number
 # ruff: noqa: N803
 
 _CONTACT_N: Final = 15.0  # against a direction; UR publishes no threshold of tool_contact
+_INERTIA_KG_M2: Final = 133.0  # UR's script manual
 _PERIODS_PER_STEP: Final = 8  # of a contact, that count for one more statement
 
 
@@ -160,7 +161,7 @@ class _RobotFunctions(Functions):
     def set_payload(self, m: float, cog: Any = (0.0, 0.0, 0.0)) -> None:
         mass, place = _mass(m, self._controller.dh.robot), tuple(_numbers(cog, 3, "a centre of gravity"))
         checked_frame((*place, 0.0, 0.0, 0.0), "the centre of gravity")
-        self._payload.mass_kg, self._payload.cog_m = mass, place
+        self._payload.mass_kg, self._payload.cog_m, self._payload.inertia_kg_m2 = mass, place, (0.0,) * 6
 
     def set_payload_mass(self, m: float) -> None:
         self.set_payload(m, self._payload.cog_m)
@@ -170,6 +171,10 @@ class _RobotFunctions(Functions):
 
     def set_target_payload(self, m: float, cog: Any, inertia: Any = (0.0,) * 6, transition_time: float = 0.0) -> None:
         moments = tuple(_six(inertia, "an inertia"))
+        if max(map(abs, moments)) > _INERTIA_KG_M2 or min(moments[:3]) < 0.0:
+            raise MotionError(
+                f"an inertia of {moments} kg·m² cannot be set: allowed are ±{_INERTIA_KG_M2:g}, about the axes from 0"
+            )
         self.set_payload(m, cog)
         self._payload.inertia_kg_m2 = moments
 

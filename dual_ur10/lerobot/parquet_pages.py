@@ -13,6 +13,8 @@ from typing import Any, BinaryIO, Final
 from dual_ur10.errors import DatasetError
 
 _LARGEST_HEADER: Final = 2**16
+_MOST_BYTES: Final = 16  # of a value and its levels, unpacked
+_SLACK_BYTES: Final = 2**20
 _DATA_PAGES: Final = {0: 5, 3: 8}
 """Field of the page header that describes a page with values, by the type of the page."""
 
@@ -68,8 +70,8 @@ def _values_in(file: BinaryIO, path: Path, chunk: Any) -> int:
         try:
             header, length = _struct(file.read(_LARGEST_HEADER), 0)
             values = header[_DATA_PAGES[header[1]]][1] if header[1] in _DATA_PAGES else 0
-            if values < 0 or header[3] < 0:
-                raise ValueError(f"a page of {values} values in {header[3]} bytes")
+            if values < 0 or header[3] < 0 or header[2] > _MOST_BYTES * chunk.num_values + _SLACK_BYTES:
+                raise ValueError(f"a page of {values} values in {header[3]} bytes, unpacked {header[2]}")
             found += values
             at += length + header[3]
         except (IndexError, KeyError, TypeError, ValueError, RecursionError) as error:

@@ -282,8 +282,9 @@ def test_a_page_of_fewer_values_than_none_makes_up_for_no_other(made, tmp_path):
         (b"\x18" + varint(2**60), f"{2**60} bytes or values in"),
         (b"\x19" * 2000, "recursion"),
         (b"\x1c" * 2000, "recursion"),
+        (b"\x15\0\x15" + varint(2**31) + b"\x15\2\x2c\x15\2\0\0", f"a page of 1 values in 1 bytes, unpacked {2**30}"),
     ],
-    ids=["doubles", "binaries", "binary", "lists", "structs"],
+    ids=["doubles", "binaries", "binary", "lists", "structs", "zeros"],
 )
 def test_headers_of_pages_promise_no_more_than_their_bytes(header, found, made, tmp_path):
     metadata = pq.read_metadata(table_of(made[1]))

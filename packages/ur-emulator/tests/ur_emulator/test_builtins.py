@@ -121,3 +121,22 @@ def test_an_arm_is_steady_once_it_has_stood_for_half_a_second(bench):
     bench.run(program(f"{asked}speedj([0.1, 0, 0, 0, 0, 0], 1, 1)"))
     bench.tick(2)
     assert not outputs[0]
+
+
+@pytest.mark.parametrize(("mode", "moves"), [("0", True), ("False", True), ("1", False)])
+def test_another_mode_of_movec_ends_the_program(bench, mode, moves):
+    via, to = (f"pose_add(get_target_tcp_pose(), p[{x}, 0.02, 0, 0, 0, 0])" for x in (0.02, 0.05))
+    bench.run(program(f"movec({via}, {to}, mode={mode})\nsleep(9)"))
+    bench.tick(5)
+    assert (bench.moved > 0.0) == moves
+    assert (b"not emulated" in b"".join(bench.controller.messages)) != moves
+
+
+def test_freedrive_is_far_from_singularities():
+    bench = Bench("e-series")
+    bench.run(
+        program("freedrive_mode()\nsync()\nwrite_output_integer_register(0, 5 - get_freedrive_status())\nsleep(9)")
+    )
+    bench.tick(3)
+    assert bench.controller.motion.free
+    assert bench.controller.registers.output_int[0] == 5

@@ -118,6 +118,8 @@ class _MotionFunctions(Functions):
     def movec(
         self, pose_via: Any, pose_to: Any, a: float = 1.2, v: float = 0.25, r: float = 0, mode: int = 0
     ) -> Blocking:
+        if number(mode) != 0:
+            raise MotionError(f"mode {mode} of movec is not emulated: use 0, by which the orientation is interpolated")
         via, to = pose_of(self._controller, pose_via), pose_of(self._controller, pose_to)
         yield from self._owner.follow(lambda: self._motion.move_circular(via, to, a, v, r))
 
@@ -181,7 +183,7 @@ class _MotionFunctions(Functions):
         self._motion.end_freedrive()
 
     def get_freedrive_status(self) -> int:
-        return int(self._motion.free)
+        return 0  # normal operation; 1 and 2 would be the nearness of a singularity
 
 
 def motion_builtins(controller: Controller, owner: MotionOwner) -> Builtins:

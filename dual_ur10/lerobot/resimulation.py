@@ -253,7 +253,7 @@ def joints_in(names: Sequence[str], size: int, what: str) -> tuple[tuple[int, ..
 
 def _six(places: Mapping[int, int]) -> tuple[int, ...] | None:
     first = min(places)
-    if first not in (0, 1) or {*places} < {*range(first, first + 6)}:
+    if first not in (0, 1) or {*places} != {*range(first, first + 6)}:  # with a seventh it is no UR arm
         return None
     return tuple(places[k] for k in range(first, first + 6))
 

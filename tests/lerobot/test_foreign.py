@@ -46,7 +46,9 @@ def test_joints_are_found_by_their_names(names, size, places):
     assert joints_in(names, size, "it") == places
 
 
-@pytest.mark.parametrize(("names", "size"), [(["x", "y", "z"], 3), (UR[:5], 5), ([], 8)])
+@pytest.mark.parametrize(
+    ("names", "size"), [(["x", "y", "z"], 3), (UR[:5], 5), ([], 8), ([f"joint_{k}" for k in range(1, 8)], 7)]
+)
 def test_other_names_are_refused(names, size):
     with pytest.raises(DatasetError, match=r"no six joints .* --left 0:6"):
         joints_in(names, size, "it")

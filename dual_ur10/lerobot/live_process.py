@@ -163,6 +163,7 @@ def run(
         except (KeyboardInterrupt, BrokenPipeError):  # the program has ended, or needs the arms no more
             pass
         except BaseException as error:
+            LOCAL.ignore_interrupts()  # of a program that knows the error, and so needs the arms no more
             _report(connection, error)
         finally:
             with contextlib.suppress(KeyboardInterrupt):

@@ -265,7 +265,7 @@ def interrupted(question):
     ("answer", "error"),
     [(lambda question: False, StartError), (no_terminal, StartError), (interrupted, KeyboardInterrupt)],
 )
-def test_a_start_that_was_refused_is_none(answer, error, log, monkeypatch):
+def test_a_start_that_was_refused_is_none(answer, error, log, monkeypatch, capfd):
     monkeypatch.setattr(live_arms, "ask_at_terminal", answer)
     arms = LiveArms(cell="near")
     for _ in range(2):  # the second one asks again
@@ -275,6 +275,7 @@ def test_a_start_that_was_refused_is_none(answer, error, log, monkeypatch):
         with pytest.raises((ClosedError, StartError)):
             arms.observation()
     assert log() == ["closes", "closes"]
+    assert "KeyboardInterrupt" not in capfd.readouterr().err
     monkeypatch.setattr(live_arms, "ask_at_terminal", lambda question: True)
     arms.start()
     assert arms.started

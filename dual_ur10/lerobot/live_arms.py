@@ -142,7 +142,9 @@ class LiveArms:
             if self._error is not None:
                 raise self._error
             if message == "confirm":
-                self._connection.send(self._confirmed(content))
+                confirmed = self._confirmed(content)
+                with contextlib.suppress(OSError):  # it ended meanwhile, and the next message is why
+                    self._connection.send(confirmed)
             self._ready = message == "ready"
         self.starts += 1
 

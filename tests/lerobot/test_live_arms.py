@@ -284,6 +284,20 @@ def test_a_start_that_was_refused_is_none(answer, error, log, monkeypatch, capfd
     assert log()[2:] == ["moves", "arrives", "closes"]
 
 
+def test_a_process_that_ends_before_the_answer_is_a_named_error(log, monkeypatch):
+    arms = LiveArms(cell="near")
+
+    def answer(question):
+        arms._process.kill()
+        arms._process.wait(30.0)
+        return True
+
+    monkeypatch.setattr(live_arms, "ask_at_terminal", answer)
+    with pytest.raises(LinkError, match="the process that moves the arms has ended: start them again"):
+        arms.start()
+    assert log() == []
+
+
 def test_ctrl_c_stops_the_path_to_the_start(log, monkeypatch):
     handler = signal.signal(signal.SIGINT, signal.default_int_handler)
     monkeypatch.setattr(live_arms, "ask_at_terminal", lambda question: True)

@@ -295,6 +295,28 @@ def test_a_blend_begins_no_earlier_than_braking():
     assert braking - 0.2 * TICK_S <= left <= braking
 
 
+@pytest.mark.parametrize(
+    "command",
+    [
+        lambda arm: arm.speed_joints([0.3] * 6, 1.0),
+        lambda arm: arm.servo_joints(Q0 + 0.01, 1.0, 0.1, 300.0),
+        lambda arm: arm.stop_joints(0.5),
+        lambda arm: arm.halt(),
+    ],
+)
+def test_only_moves_have_a_waypoint(command):
+    target = Q0 + 0.3
+    arm = motion()
+    assert np.array_equal(arm.waypoint, Q0)
+    arm.move_joints(target, 1.4, 1.0)
+    run(arm, 10)
+    assert np.array_equal(arm.waypoint, target)
+    command(arm)
+    run(arm, 1)
+    assert arm.moving
+    assert np.array_equal(arm.waypoint, arm.q)
+
+
 def test_a_blend_without_another_move_stops_at_the_waypoint():
     arm = motion()
     goal = pose(arm, 0.0, 0.15)

@@ -163,9 +163,9 @@ class MotionGenerator(ToolMotion):
         brake = JointBrake(self.q, self._rate, np.abs(self._rate) / slowing)
         return brake if self._may_go_to(brake.end) else None
 
-    def _begin(self, trajectory: Trajectory, waypoint: Array, ending: Trajectory | None) -> Handle:
+    def _begin(self, trajectory: Trajectory, waypoint: Array | None = None, ending: Trajectory | None = None) -> Handle:
         self._handle.abort()
-        self._handle, self._trajectory, self.waypoint = Handle(), trajectory, waypoint
+        self._handle, self._trajectory, self._waypoint = Handle(), trajectory, waypoint
         self._starved = 0
         if ending is None or isinstance(ending, JointBrake):
             # The trajectory starts at the present position. A blend keeps the compliance offset.
@@ -214,7 +214,7 @@ class MotionGenerator(ToolMotion):
             return self._refuse()
         goal = np.array(target)
         servo.aim(goal, lookahead * self.lookahead_scale, gain, max(1, ticks))
-        return self._begin(servo, goal, servo if servo is self._trajectory else None)
+        return self._begin(servo, ending=servo if servo is self._trajectory else None)
 
     def speed_joints(self, qd: Iterable[Any], a: float, t: float = 0.0) -> Handle:
         """`speedj`: accelerate to joint speeds (6,) and hold them. At `t` 0 it returns when they are reached.
@@ -231,7 +231,7 @@ class MotionGenerator(ToolMotion):
             return self._refuse()
         self._end_freedrive_for_command()
         speed = self._rate if keeps else speed / max(1.0, float((np.abs(speed) / self.joint_speed_rad_s).max()))
-        return self._begin(SpeedJoints(self.q, self._rate, speed, a, ticks), self.q, None)
+        return self._begin(SpeedJoints(self.q, self._rate, speed, a, ticks))
 
     def speed_linear(self, xd: Iterable[Any], a: float, t: float = 0.0, a_rot: float | None = None) -> Handle:
         """`speedl`: accelerate to a speed (6,) of the TCP in base and hold it. At `t` 0 it returns when it is reached.
@@ -257,7 +257,7 @@ class MotionGenerator(ToolMotion):
             slower = max(1.0, float(np.abs(joints).max()) / RAMP_RAD_S2)
             a, a_rot = a / slower, a_rot / slower
         trajectory.aim(twist, a, a_rot, ticks)
-        return self._begin(trajectory, self.q, None)
+        return self._begin(trajectory)
 
     def direct_torque(
         self, torque: Iterable[Any], viscous_scale: Iterable[Any], coulomb_scale: Iterable[Any]
@@ -276,7 +276,7 @@ class MotionGenerator(ToolMotion):
             return self._refuse()
         self._end_freedrive_for_command()
         stream = TorqueStream(self.q, self.qd, torques)
-        return self._begin(stream, self.q, None)
+        return self._begin(stream)
 
     # Stops.
 
@@ -286,7 +286,7 @@ class MotionGenerator(ToolMotion):
         if self.fault is not None:
             return self._refuse()
         time = float(np.abs(self._rate).max()) / a
-        return self._begin(JointBrake.together(self.q, self._rate, time), self.q, None)
+        return self._begin(JointBrake.together(self.q, self._rate, time))
 
     def stop_linear(self, a: float, a_rot: float | None = None) -> Handle:
         """`stopl`: stop the TCP on its present line. `a_rot` is the deceleration of rotation, by default `a`."""
@@ -296,7 +296,7 @@ class MotionGenerator(ToolMotion):
         twist = self._twist()
         parts = float(np.linalg.norm(twist[:3])) / a, float(np.linalg.norm(twist[3:])) / a_rot
         time = max(*parts, float(np.abs(self._rate).max()) / RAMP_RAD_S2)
-        return self._begin(PoseBrake(self.arm, self.tool, self.q, twist, time), self.q, None)
+        return self._begin(PoseBrake(self.arm, self.tool, self.q, twist, time))
 
     def halt(self, scaling: float = 1.0) -> None:
         """Stop at the end of a program, and end force mode and freedrive.
@@ -323,7 +323,6 @@ class MotionGenerator(ToolMotion):
         self._handle.abort()
         self._trajectory = self._compliance = self._still = None
         self._rate = self._offset = self._yield = self.qd = self.qdd = ZEROS
-        self.waypoint = self.q
 
     def _twist(self) -> Array:
         if not self._rate.any():

@@ -88,7 +88,6 @@ class Reference:
         q, qd, qdd: (6,) at the end of the last tick; qd and qdd are differences over its last physics step.
         fault: Reason for a protective stop now, or None. The arm then leaves its path and stops all joints together as
             fast as possible. Commands are refused until it is set to None again.
-        waypoint: (6,) target of the last command.
     """
 
     def __init__(
@@ -112,7 +111,7 @@ class Reference:
         self.q: Array = q
         self.qd: Array = ZEROS
         self.qdd: Array = ZEROS
-        self.waypoint: Array = q
+        self._waypoint: Array | None = None  # target of the move that runs
         self.fault: MotionFault | None = None
         self._dt = tick_s / substeps
         self._counts = np.arange(1.0, substeps + 1)
@@ -127,6 +126,11 @@ class Reference:
         self._compliance: Compliance | None = None
         self._offset: Array = ZEROS
         self._yield: Array = ZEROS
+
+    @property
+    def waypoint(self) -> Array:
+        """(6,) target of the move that runs, or else the present position."""
+        return self.q if self._trajectory is None or self._waypoint is None else self._waypoint
 
     @property
     def torques(self) -> JointTorques | None:
@@ -380,7 +384,7 @@ class Reference:
 
     def _follow(self, trajectory: Trajectory) -> None:
         """Continue with a trajectory that starts at the present position and speed."""
-        self._trajectory, self._compliance = trajectory, None
+        self._trajectory, self._compliance, self._waypoint = trajectory, None, None
         self._offset = self._yield = ZEROS
         self._starved = 0
 

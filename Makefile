@@ -88,7 +88,7 @@ $(RLLIB)/.dev: pyproject.toml $(PACKAGED) constraints-rllib.txt | check-python
 	@touch $@
 
 # LeRobot asks for Python 3.12 and a PyTorch of its own choice: on Linux, 2.2 GB from the usual index, 5 GB on disk.
-LEROBOT_PYTHON ?= $(shell command -v python3.12)
+LEROBOT_PYTHON ?= $(shell python3.12 -c 'import sys; print(sys.executable)' 2>/dev/null)
 PLUGINS := $(addprefix -e integrations/lerobot_,robot_dual_ur10 teleoperator_dual_ur10 env_dual_ur10)
 $(LEROBOT)/.dev: pyproject.toml $(PACKAGED) constraints-lerobot.txt $(wildcard integrations/*/pyproject.toml)
 	@test -n "$(LEROBOT_PYTHON)" || { echo "LeRobot needs python3.12: install it, or name it: make test-lerobot LEROBOT_PYTHON=/path/to/it"; exit 1; }

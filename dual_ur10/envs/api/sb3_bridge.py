@@ -22,7 +22,8 @@ from ur_core.types import Array
 try:
     import torch
     from stable_baselines3.common.base_class import BaseAlgorithm
-    from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
+    from stable_baselines3.common.running_mean_std import RunningMeanStd
+    from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
 except ImportError as error:
     raise MissingExtraError("stable-baselines3", "train", "the vector environment for it") from error
 
@@ -394,6 +395,33 @@ def hide(model: BaseAlgorithm, columns: Iterable[int]) -> None:
         with torch.no_grad():
             layer.weight.mul_(mask)
         layer.weight.register_hook(lambda gradient: gradient * mask)
+
+
+def scale(env: VecNormalize, columns: Iterable[int]) -> None:
+    """Let a normaliser of Stable-Baselines3 scale columns of the observation alone, and leave the others as they are.
+
+    Fields that are made for learners (`observation="goals"`) have their scale. A deviation of early training is small
+    where the arms have hardly been, and would move them about.
+
+    Args:
+        env: Normaliser with `norm_obs`, before its first reset.
+        columns: Columns, as of `CellsVecEnv.columns`.
+    """
+    moments: Any = _Moments(env.observation_space.shape or (0,), columns)
+    env.obs_rms = moments
+
+
+class _Moments(RunningMeanStd):
+    """Running mean and variance of some columns. Those of the others stay 0 and 1."""
+
+    def __init__(self, shape: tuple[int, ...], columns: Iterable[int]) -> None:
+        super().__init__(shape=shape)
+        self._others = np.setdiff1d(np.arange(shape[0]), list(columns))
+
+    def update_from_moments(self, batch_mean: Any, batch_var: Any, batch_count: float) -> None:
+        """Take the moments of further observations."""
+        super().update_from_moments(batch_mean, batch_var, batch_count)
+        self.mean[self._others], self.var[self._others] = 0.0, 1.0
 
 
 def _first_layers(policy: Any) -> list[Any]:

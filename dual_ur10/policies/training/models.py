@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dual_ur10.envs.api.sb3_bridge import RewardDifferences, hide
+from dual_ur10.envs.api.sb3_bridge import RewardDifferences, hide, scale
 from dual_ur10.errors import MissingExtraError, TrainingError
 from dual_ur10.policies.learned.learned_policy import LearnedPolicy
 from dual_ur10.policies.training.settings import Reinforcement
@@ -17,7 +17,6 @@ from dual_ur10.policies.training.state import Tensors
 try:
     import torch
     from stable_baselines3 import PPO, SAC
-    from stable_baselines3.common.running_mean_std import RunningMeanStd
     from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
 except ImportError as error:
     raise MissingExtraError("stable-baselines3", "train", "training") from error
@@ -27,24 +26,6 @@ _NORMAL_ENTROPY: float = 0.5 * math.log(2.0 * math.pi * math.e)  # of a standard
 _FIRST_ENTROPY_WEIGHT: float = 0.01  # of SAC, which learns it: with 1 noise would be worth more than reward
 _NEAR_ZERO: float = 0.01  # times the weights of an untrained head, as Stable-Baselines3 has it for PPO
 _SURE: float = 1e7  # weight of a checkpoint's normaliser, in observations: it hardly changes any more
-
-
-class _Moments(RunningMeanStd):
-    """Running mean and variance of observations.
-
-    Args:
-        shape: Shape of an observation.
-        unscaled: Indices of the values whose mean and variance stay 0 and 1.
-    """
-
-    def __init__(self, shape: tuple[int, ...], unscaled: Sequence[int]) -> None:
-        super().__init__(shape=shape)
-        self._unscaled = list(unscaled)
-
-    def update_from_moments(self, batch_mean: Any, batch_var: Any, batch_count: float) -> None:
-        """Take the moments of further observations."""
-        super().update_from_moments(batch_mean, batch_var, batch_count)
-        self.mean[self._unscaled], self.var[self._unscaled] = 0.0, 1.0
 
 
 def make(
@@ -69,9 +50,8 @@ def make(
     if settings.differences:
         monitored = RewardDifferences(monitored, settings.gamma, lambda: settings.refusals * share())
     around = VecNormalize(monitored, gamma=settings.gamma, norm_reward=algorithm == "ppo")
-    shape = env.observation_space.shape or (0,)
-    moments: Any = _Moments(shape, () if settings.scaled else np.setdiff1d(np.arange(shape[0]), unseen).tolist())
-    around.obs_rms = moments
+    if not settings.scaled:
+        scale(around, unseen)
     if algorithm == "ppo":
         model: Any = _ppo(around, settings, seed, share)
     else:

@@ -21,7 +21,7 @@ stable_baselines3 = pytest.importorskip("stable_baselines3", reason="needs the e
 from stable_baselines3.common.monitor import Monitor  # noqa: E402  # skipped above
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize  # noqa: E402  # as above
 
-from dual_ur10.envs.api.sb3_bridge import JointVecEnv, TwoAgentVecEnv, hide  # noqa: E402  # as above
+from dual_ur10.envs.api.sb3_bridge import JointVecEnv, TwoAgentVecEnv, hide, scale  # noqa: E402  # as above
 
 
 def zeros(env):
@@ -298,3 +298,17 @@ def test_a_policy_without_layers_of_its_own_is_refused():
     with pytest.raises(errors.SettingsError, match="MlpPolicy"):
         hide(model, [0])
     env.close()
+
+
+def test_other_columns_than_those_that_are_scaled_stay_as_they_are():
+    env = VecNormalize(TwoAgentVecEnv(SINE, 4))
+    columns = env.venv.columns(["commanded_q_rad"])
+    scale(env, columns)
+    env.reset()
+    for _ in range(20):
+        seen = env.step(zeros(env))[0]
+    before = env.get_original_obs()
+    others = np.setdiff1d(np.arange(before.shape[1]), columns)
+    assert np.allclose(seen[:, others], np.clip(before[:, others], -env.clip_obs, env.clip_obs), atol=1e-6)
+    assert abs(env.obs_rms.mean[columns]).max() > 0.1
+    assert not np.allclose(seen[:, columns], before[:, columns], atol=0.1)

@@ -47,7 +47,7 @@ PART = 100
 
 DEMONSTRATIONS = 50
 PPO_STEPS = 200_000
-"""Environment steps of PPO on tasks with objects; SineTracking has those of the example."""
+"""Environment steps of PPO on tasks that have no recipe of their own in the example."""
 
 Policy = tuple[str, dict[str, Any], dict[str, Any]]
 """Name or folder of a policy, keywords of its environment, and figures of its training."""
@@ -85,14 +85,14 @@ def ppo(env_id: str, folder: Path) -> Policy | None:
     import train_with_sb3 as example
 
     task, path = env_id.partition("/")[2].rpartition("-v")[0], folder / "ppo"
-    keywords = example.keywords_of(task)
+    recipe = example.recipe_of(task)
     found: dict[str, Any] = {"seed": 0}
     if not path.exists():
-        model, steps, minutes = example.train("PPO", 0, 0 if task == example.SINE else PPO_STEPS, task=task)
+        model, steps, minutes = example.train(recipe, "PPO", 0, 0 if task in example.RECIPES else PPO_STEPS)
         agents = "joint" if task == example.SINE else "shared"
-        checkpoint.save(path, *converted(model, env_id, agents=agents, **keywords))
+        checkpoint.save(path, *converted(model, env_id, agents=agents, **recipe.keywords))
         (folder / "ppo.json").write_text(json.dumps({"steps": steps, "minutes": minutes}))
-    return str(path), keywords, found | json.loads((folder / "ppo.json").read_text())
+    return str(path), recipe.keywords, found | json.loads((folder / "ppo.json").read_text())
 
 
 LEARNERS: dict[str, Callable[[str, Path], Policy | None]] = {

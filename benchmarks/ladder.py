@@ -37,81 +37,34 @@ BY: Final = ("ppo", "sac", "dagger", "bc")
 REACHED: Final = 0.9  # of the episodes of a check
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Rung:
-    """Task and keywords that learners are given.
-
-    Attributes:
-        task: Short name of the task.
-        keywords: Keywords of the environment, in training and evaluation.
-        starts: Ratios of the training's episodes that begin after stages.
-        steps: Steps of a training by learner; others have those of `train`.
-        short: Steps after which an episode of stock learners is truncated.
-        unseen: Fields that the policies of stock learners do not see.
-        differences: Stock learners earn what a step has changed.
-    """
-
-    task: str
-    keywords: dict[str, Any]
-    starts: dict[str, float] | None = None
-    steps: dict[str, int]
-    short: int = 500
-    unseen: tuple[str, ...] = ()
-    differences: bool = False
-
-    def but(self, **changes: Any) -> Rung:
-        """Return the rung with other keywords of the environment."""
-        return dataclasses.replace(self, keywords={**self.keywords, **changes})
+_STARTS: Final = dict.fromkeys(("lift", "present", "mutual_grasp", "release"), 0.1)
+_SINE, _LIFT, _CARRY, _HANDOVER = (example.RECIPES[name] for name in ("SineTracking", "lift", "SyncCarry", "Handover"))
 
 
-_GOALS: Final = {"observation": "goals", "action_mode": "tcp_delta"}
-_LIFT: Final = Rung(
-    task="Handover",
-    keywords=example.LIFT,
-    steps={"ppo": example.LIFT_STEPS, "sac": 100_000},
-    short=example.LIFT_SHORT,
-)
-_HANDOVER: Final = Rung(
-    task="Handover",
-    keywords=example.HANDOVER,
-    steps={"ppo": example.HANDOVER_STEPS, "sac": 1_000_000},
-    short=example.HANDOVER_SHORT,
-    unseen=example.HANDOVER_UNSEEN,
-    differences=True,
-)
-_HELD: Final = dataclasses.replace(_HANDOVER, starts=example.HELD)
-_CARRY: Final = Rung(
-    task="SyncCarry",
-    keywords=example.CARRY,
-    steps={"ppo": example.OBJECTS_STEPS["SyncCarry"], "sac": 500_000},
-    short=example.OBJECTS_SHORT["SyncCarry"],
-    unseen=example.CARRY_UNSEEN,
-)
+def but(recipe: example.Recipe, changes: dict[str, Any] | None = None, **others: Any) -> example.Recipe:
+    """Return a recipe with other keywords of the environment (`changes`), or other settings."""
+    return dataclasses.replace(recipe, keywords={**recipe.keywords, **(changes or {})}, **others)
 
 
-def _led(task: str) -> Rung:
-    return Rung(task=task, keywords=_GOALS, steps={"ppo": 1_500_000, "sac": 500_000})
-
-
-RUNGS: Final[dict[str, Rung]] = {
-    "SineTracking-v0": Rung(task=example.SINE, keywords=example.SEEN, steps=example.STEPS, short=example.SHORT),
+RUNGS: Final[dict[str, example.Recipe]] = {
+    "SineTracking-v0": _SINE,
     "Handover-v0/lift": _LIFT,
-    "Handover-v0/lift/25 Hz": dataclasses.replace(_LIFT.but(policy_rate_hz=25.0), short=200),
-    "Handover-v0/lift/turned": _LIFT.but(action_mode="tcp_delta", object_turn_rad=0.5236),
-    "Handover-v0/lift/progress": _LIFT.but(progress_weight=20.0),
+    "Handover-v0/lift/25 Hz": but(_LIFT, {"policy_rate_hz": 25.0}, short=200),
+    "Handover-v0/lift/turned": but(_LIFT, {"action_mode": "tcp_delta", "object_turn_rad": 0.5236}),
+    "Handover-v0/lift/progress": but(_LIFT, {"progress_weight": 20.0}),
     "SyncCarry-v0": _CARRY,
-    "SyncCarry-v0/all seen": dataclasses.replace(_CARRY, unseen=()),
-    "SyncCarry-v0/no path speed": _CARRY.but(path_speed=False),
-    "Handover-v0/held": _HELD,
-    "Handover-v0/held/all seen": dataclasses.replace(_HELD, unseen=()),
-    "Handover-v0/held/rewards of states": dataclasses.replace(_HELD, differences=False),
-    "Handover-v0/held/25 Hz": dataclasses.replace(_HELD.but(policy_rate_hz=25.0), short=500),
+    "SyncCarry-v0/all seen": but(_CARRY, seen=()),
+    "SyncCarry-v0/no path speed": but(_CARRY, {"path_speed": False}),
+    "Handover-v0/held": but(_HANDOVER, starts=_STARTS),
     "Handover-v0": _HANDOVER,
-    "TrayBalance-v0": _led("TrayBalance"),
-    "LidAndPlace-v0": _led("LidAndPlace"),
-    "PegInsertion-v0": _led("PegInsertion"),
+    "Handover-v0/in step": but(_HANDOVER, staggered=False),
+    "Handover-v0/value of goals": but(_HANDOVER, {"observation": "goals"}, scaled=False),
+    "Handover-v0/rewards of states": but(_HANDOVER, differences=False),
+    **{f"{task}-v0": example.recipe_of(task) for task in ("TrayBalance", "LidAndPlace", "PegInsertion")},
 }
-LADDER: Final = ("SineTracking-v0", "Handover-v0/lift", "SyncCarry-v0", "Handover-v0/held", "Handover-v0")
+"""Rungs by name, each a task as a recipe has it, or one that differs from another in one thing."""
+
+LADDER: Final = ("SineTracking-v0", "Handover-v0/lift", "SyncCarry-v0", "Handover-v0")
 
 
 def climb(
@@ -155,7 +108,7 @@ def results(folder: Path) -> dict[str, dict[str, Any]]:
     return found
 
 
-def run(rung: Rung, learner: str, seed: int, place: Path, episodes: int = EPISODES) -> dict[str, Any]:
+def run(rung: example.Recipe, learner: str, seed: int, place: Path, episodes: int = EPISODES) -> dict[str, Any]:
     """Run one trial, save its checkpoint to a new folder and return its result."""
     steps, minutes, success, curve = (_imitated if learner in ("dagger", "bc") else _stock)(
         rung, learner, seed, place, episodes
@@ -175,38 +128,26 @@ def run(rung: Rung, learner: str, seed: int, place: Path, episodes: int = EPISOD
 
 
 def _stock(
-    rung: Rung, learner: str, seed: int, place: Path, episodes: int
+    rung: example.Recipe, learner: str, seed: int, place: Path, episodes: int
 ) -> tuple[int, float, float, list[dict[str, float]]]:
     """Train Stable-Baselines3; return steps, minutes, the ratio of successes, and the curve."""
     algorithm, curve = learner.upper(), list[dict[str, float]]()
-    settings = example.settings_of(rung.task, algorithm)
-    if rung.task != example.SINE and algorithm != "PPO":
-        settings = {**settings, "gamma": example.settings_of(rung.task)["gamma"]}
-    model, steps, minutes = example.train(
-        algorithm,
-        seed,
-        rung.steps.get(learner, rung.steps.get(algorithm, 0)),
-        settings,
-        task=rung.task,
-        short=rung.short,
-        curve=curve,
-        starts=rung.starts,
-        unseen=rung.unseen,
-        differences=rung.differences,
-        **rung.keywords,
-    )
-    found = example.measure(rung.task, algorithm, model, episodes, 0, **rung.keywords)
+    model, steps, minutes = example.train(rung, algorithm, seed, curve=curve)
+    found = example.measure(rung, algorithm, model, episodes, 0)
     agents: AgentsKind = "joint" if rung.task == example.SINE and algorithm == "PPO" else "shared"
-    checkpoint.save(place, *converted(model, _env_id(rung), agents=agents, **rung.keywords))
+    around = model.get_vec_normalize_env()
+    checkpoint.save(place, *converted(model, _env_id(rung), agents=agents, vec_normalize=around, **rung.keywords))
     return steps, minutes, float(found["success"]), curve
 
 
 def _imitated(
-    rung: Rung, learner: str, seed: int, place: Path, episodes: int
+    rung: example.Recipe, learner: str, seed: int, place: Path, episodes: int
 ) -> tuple[int, float, float, list[dict[str, float]]]:
     """Imitate the scripted policy, which sees all fields; return steps, minutes, successes, and the curve."""
     keywords = {name: value for name, value in rung.keywords.items() if name != "observation"}
-    asked = defaults(_env_id(rung), learner, "shared", seed=seed, steps=rung.steps.get(learner), keywords=keywords)
+    asked = defaults(
+        _env_id(rung), learner, "shared", seed=seed, steps=rung.steps.get(learner.upper()), keywords=keywords
+    )
     begin_s, training = time.monotonic(), _training(place)
     train(asked, training)
     minutes = (time.monotonic() - begin_s) / 60
@@ -221,7 +162,7 @@ def _imitated(
     return values["steps"], minutes, found.success_rate, curve
 
 
-def _env_id(rung: Rung) -> str:
+def _env_id(rung: example.Recipe) -> str:
     return f"DualUR10/{rung.task}-v0"
 
 

@@ -267,11 +267,11 @@ def stock(env_id: str, episodes: int, seeds: int, learners: Iterable[str]) -> di
     for name in learners:
         if task != example.SINE and name != "snippet":
             continue
-        rows = []
+        rows, recipe = [], example.recipe_of(task)
         for seed in range(seeds):
             print(f"{env_id}, {name}, seed {seed}, load {os.getloadavg()[0]:.1f}", flush=True)
-            model, steps, minutes = example.train(seed=seed, task=task, **STOCK[name])
-            means = example.measure(task, STOCK[name]["algorithm"], model, episodes, 0)
+            model, steps, minutes = example.train(recipe, seed=seed, **STOCK[name])
+            means = example.measure(recipe, STOCK[name]["algorithm"], model, episodes, 0)
             found = {key: float(each) for key, each in means.items()}
             found |= {"return_ratio": found["return"] / script, "minutes": minutes, "steps": steps}
             print(json.dumps(found), flush=True)

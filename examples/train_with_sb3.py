@@ -6,29 +6,30 @@ command that evaluates it.
 """
 
 import argparse
+import copy
+import dataclasses
 import json
 import math
 import time
-from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 import stable_baselines3
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import ConvertCallback, EveryNTimesteps
+from stable_baselines3.common.callbacks import BaseCallback, CallbackList, ConvertCallback, EveryNTimesteps
 from stable_baselines3.common.noise import NormalActionNoise
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
-from dual_ur10.envs.api.sb3_bridge import CellsVecEnv, JointVecEnv, RewardDifferences, TwoAgentVecEnv, hide
+from dual_ur10.envs.api.sb3_bridge import CellsVecEnv, JointVecEnv, RewardDifferences, TwoAgentVecEnv, hide, scale
+from dual_ur10.envs.tasks.goal_fields import GOAL_FIELDS
 from dual_ur10.policies.learned import checkpoint
 from dual_ur10.policies.learned.from_sb3 import converted
 
 SINE = "SineTracking"
-SEEN: dict[str, Any] = {"observation": "goals", "action_scale": 0.5}
-SHORT = 100  # steps of an episode: an untrained policy is back at the reference before it has drifted far
 CELLS = {"PPO": 64, "SAC": 8, "TD3": 8}
 ARM = 6  # actions
+GRIPPER_STD = 2.0  # times that of the tools: fingers move by centimetres before anything changes
 SETTINGS: dict[str, dict[str, Any]] = {
     "PPO": {
         "learning_rate": lambda left: 1e-3 * left,
@@ -58,61 +59,130 @@ SETTINGS: dict[str, dict[str, Any]] = {
         "policy_kwargs": {"net_arch": [64, 64]},
     },
 }
-STEPS = {"PPO": 600_000, "SAC": 60_000, "TD3": 60_000}
-
-# PPO on the tasks with objects: one policy for either arm, steps of the tools, wider exploration.
+# Tasks with objects: one policy for either arm, steps of the tools, wider exploration.
 OBJECTS: dict[str, Any] = {"observation": "goals", "action_mode": "tcp_delta"}
-OBJECTS_SETTINGS: dict[str, Any] = {
-    "learning_rate": lambda left: 5e-4 * left,
-    "gamma": 0.95,
-    "n_steps": 32,
-    "batch_size": 1024,
-    "policy_kwargs": {"log_std_init": -1.3},
+OBJECTS_SETTINGS: dict[str, dict[str, Any]] = {
+    "PPO": {
+        "learning_rate": lambda left: 5e-4 * left,
+        "gamma": 0.95,
+        "n_steps": 32,
+        "batch_size": 1024,
+        "policy_kwargs": {"log_std_init": -1.3},
+    },
+    "SAC": {**SETTINGS["SAC"], "gamma": 0.95},
 }
-# SyncCarry follows a path for most of its time: its place counts more, and many small updates follow it closely.
-CARRY: dict[str, Any] = {
-    **OBJECTS,
-    "path_speed": True,
-    "reward_weights": {"reach": 2.0, "position": 2.0, "orientation": 0.5},
-}
-CARRY_UNSEEN = ("commanded_q_rad", "time_to_path_s", "progress")  # by the policy, which sees the way to its goal alone
-CARRY_SETTINGS: dict[str, Any] = {
-    "learning_rate": lambda left: 1e-3 * left,
-    "gamma": 0.9,
-    "n_steps": 16,
-    "batch_size": 512,
-    "policy_kwargs": {"log_std_init": -1.6},
-}
-# Handover as a whole: each step earns what it has changed (`RewardDifferences`). Otherwise holding the block with both
-# arms for ever is nearly as good as handing it over. Some episodes begin where the script has come so far.
-HANDOVER: dict[str, Any] = {**OBJECTS, "policy_rate_hz": 12.5}
-HANDOVER_SHORT, HANDOVER_STEPS = 250, 1_500_000
-HANDOVER_UNSEEN = ("commanded_q_rad", "other_gripper_m", "role", "progress")
-HELD = {"lift": 0.1, "present": 0.1, "mutual_grasp": 0.1, "release": 0.1}
-GRIPPER_STD = 2.0  # times that of the tools: fingers move by centimetres before anything changes
-# Handover until the block is lifted: steps of the tools without turns, and half of the decisions.
-LIFT: dict[str, Any] = {
-    "observation": "goals",
-    "action_mode": "tcp_translation",
-    "until": "lift",
-    "policy_rate_hz": 12.5,
-    "object_turn_rad": 0.0,
-}
-LIFT_SHORT, LIFT_STEPS = 100, 250_000
-OBJECTS_SHORT = {"SyncCarry": 900}  # of others 500
-OBJECTS_STEPS = {"SyncCarry": 200_000}  # of others 1,500,000
 
 
-def keywords_of(task: str) -> dict[str, Any]:
-    """Return the keywords of the environment that make a task easy to explore."""
-    return {SINE: SEEN, "SyncCarry": CARRY}.get(task, OBJECTS)
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Recipe:
+    """Task, keywords of its environment, and settings of stock learners.
+
+    Attributes:
+        task: Short name of the task.
+        keywords: Keywords of the environment, in training and evaluation.
+        settings: Settings by algorithm.
+        steps: Steps of the environment by algorithm.
+        short: Steps after which an episode of the training is truncated.
+        seen: Fields that the policy sees, where its value function sees all; empty: both see all.
+        scaled: What the value function alone sees is scaled by its running mean and deviation.
+        starts: Ratios of the training's episodes that begin after stages of the scripted policy.
+        differences: Each step earns what it has changed.
+        staggered: The cells' first episodes end at different times.
+        last_std: Deviation of PPO's actions after nine tenths of the training, to which it falls exponentially; None:
+            it is learned.
+        best: The result is the policy of the best check, of twice as many checks and four times their episodes.
+    """
+
+    task: str
+    keywords: dict[str, Any] = dataclasses.field(default_factory=lambda: OBJECTS)
+    settings: dict[str, dict[str, Any]] = dataclasses.field(default_factory=lambda: OBJECTS_SETTINGS)
+    steps: dict[str, int] = dataclasses.field(default_factory=lambda: {"PPO": 1_500_000, "SAC": 500_000})
+    short: int = 500
+    seen: tuple[str, ...] = ()
+    scaled: bool = False
+    starts: dict[str, float] | None = None
+    differences: bool = False
+    staggered: bool = False
+    last_std: float | None = None
+    best: bool = False
 
 
-def settings_of(task: str, algorithm: str = "PPO") -> dict[str, Any]:
-    """Return the settings of an algorithm, which has some for tasks with objects if it is PPO."""
-    if task == SINE or algorithm != "PPO":
-        return SETTINGS[algorithm]
-    return CARRY_SETTINGS if task == "SyncCarry" else OBJECTS_SETTINGS
+GOALS = tuple(field.name for field in GOAL_FIELDS)
+RECIPES = {
+    "SineTracking": Recipe(
+        task="SineTracking",
+        keywords={"observation": "goals", "action_scale": 0.5},
+        settings=SETTINGS,
+        steps={"PPO": 600_000, "SAC": 60_000, "TD3": 60_000},
+        short=100,  # an untrained policy is back at the reference before it has drifted far
+    ),
+    # Handover until the block is lifted: steps of the tools without turns, and half of the decisions.
+    "lift": Recipe(
+        task="Handover",
+        keywords={
+            "observation": "goals",
+            "action_mode": "tcp_translation",
+            "until": "lift",
+            "policy_rate_hz": 12.5,
+            "object_turn_rad": 0.0,
+        },
+        steps={"PPO": 250_000, "SAC": 100_000},
+        short=100,
+    ),
+    # It follows a path for most of its time: its place counts more, and many small updates follow it closely.
+    "SyncCarry": Recipe(
+        task="SyncCarry",
+        keywords={
+            **OBJECTS,
+            "path_speed": True,
+            "reward_weights": {"reach": 2.0, "position": 2.0, "orientation": 0.5},
+        },
+        settings={
+            "PPO": {
+                "learning_rate": lambda left: 1e-3 * left,
+                "gamma": 0.9,
+                "n_steps": 16,
+                "batch_size": 512,
+                "policy_kwargs": {"log_std_init": -1.6},
+            },
+            "SAC": SETTINGS["SAC"],
+        },
+        steps={"PPO": 200_000, "SAC": 500_000},
+        short=900,
+        seen=(*GOALS, "path_m_s", "path_rad_s"),
+    ),
+    # Each step earns what it has changed. Otherwise holding the block with both arms for ever is nearly as good as
+    # handing it over. Large batches of all parts of the task move the policy a little at a time.
+    "Handover": Recipe(
+        task="Handover",
+        keywords={"action_mode": "tcp_delta"},
+        settings={
+            "PPO": {
+                "learning_rate": lambda left: 3e-4 * left,
+                "gamma": 0.95,
+                "gae_lambda": 0.9,
+                "n_steps": 32,
+                "batch_size": 4096,
+                "n_epochs": 10,
+                "target_kl": 0.02,
+                "policy_kwargs": {"log_std_init": math.log(0.2), "net_arch": [128, 128]},
+            },
+            "SAC": OBJECTS_SETTINGS["SAC"],
+        },
+        steps={"PPO": 1_000_000, "SAC": 500_000},
+        seen=GOALS,
+        scaled=True,
+        differences=True,
+        staggered=True,
+        last_std=0.08,
+        best=True,
+    ),
+}
+
+
+def recipe_of(task: str) -> Recipe:
+    """Return the recipe of a task, or the usual one of tasks with objects."""
+    return RECIPES.get(task) or Recipe(task=task)
 
 
 def cells(task: str, algorithm: str, number: int, reward: str = "individual", **keywords: Any) -> CellsVecEnv:
@@ -122,80 +192,90 @@ def cells(task: str, algorithm: str, number: int, reward: str = "individual", **
     return TwoAgentVecEnv(task, number, reward=reward, **keywords)
 
 
-def measure(
-    task: str, algorithm: str, model: BaseAlgorithm, episodes: int, first_seed: int, **keywords: Any
-) -> dict[str, float]:
+def measure(recipe: Recipe, algorithm: str, model: BaseAlgorithm, episodes: int, first_seed: int) -> dict[str, float]:
     """Return means of whole episodes without exploration: return, success, and SineTracking's flange error in mm."""
-    env = cells(task, algorithm, episodes, reward="shared", **(keywords or keywords_of(task)))
+    env = cells(recipe.task, algorithm, episodes, reward="shared", **recipe.keywords)
+    around = model.get_vec_normalize_env()
     env.seed(first_seed)
     observation, live = env.reset(), np.ones(env.num_envs, dtype=bool)
     steps, earned, error_mm, success = np.zeros((4, env.num_envs))
     while live.any():
-        observation, reward, over, infos = env.step(model.predict(observation, deterministic=True)[0])
+        seen = observation if around is None else around.normalize_obs(observation)
+        observation, reward, over, infos = env.step(model.predict(seen, deterministic=True)[0])
         steps += live
         earned += live * reward
-        if task == SINE:
+        if recipe.task == SINE:
             error_mm += live * [1e3 * np.mean(info["flange_error_m"]) for info in infos]
         success += live & over & [bool(info.get("is_success")) for info in infos]
         live &= ~over
     env.close()
     found = {"return": earned.mean(), "success": success.mean()}
-    return found | {"error_mm": (error_mm / steps).mean()} if task == SINE else found
+    return found | {"error_mm": (error_mm / steps).mean()} if recipe.task == SINE else found
+
+
+class Narrow(BaseCallback):
+    """Deviation of PPO's actions that falls from its first value to a last one."""
+
+    def __init__(self, last: float, steps: int) -> None:
+        super().__init__()
+        self._last, self._steps = last, steps
+
+    def _on_training_start(self) -> None:
+        self._log_std = self.model.policy.log_std.requires_grad_(False)
+        self._first = self._log_std.clone()
+
+    def _on_rollout_start(self) -> None:
+        share = min(1.0, self.num_timesteps / (0.9 * self._steps))
+        self._log_std.copy_(self._first + share * (math.log(self._last) - self._first[0]))
+
+    def _on_step(self) -> bool:
+        return True
 
 
 def train(
+    recipe: Recipe,
     algorithm: str,
     seed: int,
     steps: int = 0,
     settings: dict[str, Any] | None = None,
     number: int = 0,
-    task: str = SINE,
-    short: int = 0,
     curve: list[dict[str, float]] | None = None,
-    starts: dict[str, float] | None = None,
-    unseen: Iterable[str] = (),
-    differences: bool = False,
-    **keywords: Any,
 ) -> tuple[BaseAlgorithm, int, float]:
     """Train, print the curve, and return the model, its steps, and the minutes without those of the checks.
 
-    Every 0 means what is usual for the task, and so do no keywords of the environment. Episodes of the training alone
-    may begin after stages (`starts`). The policy does not see the fields `unseen`. With `differences` each step earns
-    what it has changed. Points of the curve are appended to `curve`.
+    Every 0 means what the recipe has, and so does None. Points of the curve are appended to `curve`.
     """
-    keywords = keywords or keywords_of(task)
     torch.set_num_threads(1)  # the cells use the others
-    if task == SINE:
-        most, usual = STEPS[algorithm], SHORT
-    else:
-        most, usual = OBJECTS_STEPS.get(task, 1_500_000), OBJECTS_SHORT.get(task, 500)
-    chosen = settings_of(task, algorithm) if settings is None else settings
-    number, steps = number or CELLS[algorithm], steps or most
+    chosen = recipe.settings[algorithm] if settings is None else settings
+    number, steps = number or CELLS[algorithm], steps or recipe.steps[algorithm]
+    further = {"max_episode_steps": recipe.short, "staggered": recipe.staggered, "starts": recipe.starts}
     env: VecEnv
-    env = made = cells(task, algorithm, number, max_episode_steps=short or usual, starts=starts, **keywords)
-    wide = differences and algorithm == "PPO"
-    if wide:
-        chosen = {**chosen, "gae_lambda": 0.9}
-    if differences:
-        env = VecNormalize(RewardDifferences(env, chosen["gamma"]), norm_obs=False, gamma=chosen["gamma"])
+    env = made = cells(recipe.task, algorithm, number, **further, **recipe.keywords)
+    unseen = made.columns(name for name in made.cells.core.layout.names if recipe.seen and name not in recipe.seen)
+    if recipe.differences:
+        env = RewardDifferences(env, chosen["gamma"])
+        env = around = VecNormalize(env, norm_obs=recipe.scaled, gamma=chosen["gamma"])
+        if recipe.scaled:
+            scale(around, unseen)
     rows = env.num_envs // number
     # It learns from episodes with this seed and those that follow.
     first_seed = 1_000_000_000 + 1_000_000 * seed
     model = getattr(stable_baselines3, algorithm)("MlpPolicy", env, seed=first_seed, device="cpu", **chosen)
-    hide(model, made.columns(unseen))
-    if wide:
-        with torch.no_grad():
-            model.policy.log_std[-1] += math.log(GRIPPER_STD)
+    hide(model, unseen)
     begin_s, checked_s = time.monotonic(), 0.0
+    checks, episodes = (20, 32) if recipe.best else (10, 8)
+    best, kept = (0.0, -math.inf), dict[str, Any]()
 
     def check(*_: object) -> bool:
-        nonlocal checked_s
+        nonlocal checked_s, best, kept
         now_s = time.monotonic()
-        found = measure(task, algorithm, model, 8, 10_000_000, **keywords)
+        found = measure(recipe, algorithm, model, episodes, 10_000_000)
+        if recipe.best and (found["success"], found["return"]) > best:
+            best, kept = (found["success"], found["return"]), copy.deepcopy(model.policy.state_dict())
         minutes = (now_s - begin_s - checked_s) / 60
         if curve is not None:
             curve.append({"steps": model.num_timesteps // rows, "minutes": minutes, **found})
-        error = f", flange error {found['error_mm']:5.1f} mm" if task == SINE else ""
+        error = f", flange error {found['error_mm']:5.1f} mm" if recipe.task == SINE else ""
         print(
             f"{model.num_timesteps // rows:9} steps, {minutes:5.1f} min: return {found['return']:6.1f}{error}, "
             f"success {100 * found['success']:3.0f} %",
@@ -205,8 +285,16 @@ def train(
         return True
 
     # It counts rows.
-    model.learn(rows * steps, callback=EveryNTimesteps(rows * max(10_000, steps // 10), ConvertCallback(check)))
+    every = rows * max(10_000, steps // checks)
+    callbacks: list[BaseCallback] = [EveryNTimesteps(every, ConvertCallback(check))]
+    if recipe.last_std is not None and algorithm == "PPO":
+        with torch.no_grad():
+            model.policy.log_std[-1] += math.log(GRIPPER_STD)
+        callbacks.append(Narrow(recipe.last_std, rows * steps))
+    model.learn(rows * steps, callback=CallbackList(callbacks))
     minutes = (time.monotonic() - begin_s - checked_s) / 60
+    if kept:
+        model.policy.load_state_dict(kept)
     env.close()
     return model, model.num_timesteps // rows, minutes
 
@@ -220,23 +308,18 @@ if __name__ == "__main__":
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", help="new folder of the checkpoint")
     args = parser.parse_args()
-    task, seen, steps, further = args.task, keywords_of(args.task), args.steps, dict[str, Any]()
-    if args.lift:
-        task, seen, steps, further = "Handover", LIFT, steps or LIFT_STEPS, {"short": LIFT_SHORT}
-    elif task == "SyncCarry":
-        further = {"unseen": CARRY_UNSEEN}
-    elif task == "Handover":
-        seen, steps = HANDOVER, steps or HANDOVER_STEPS
-        further = {"short": HANDOVER_SHORT, "starts": HELD, "unseen": HANDOVER_UNSEEN, "differences": True}
-    if task != SINE and args.algorithm != "PPO":
+    recipe = recipe_of("lift" if args.lift else args.task)
+    if recipe.task != SINE and args.algorithm != "PPO":
         parser.error(f"{args.algorithm} has settings for {SINE} alone: choose PPO")
-    folder = checkpoint.check_new(args.out or f"{task.lower()}_{args.algorithm.lower()}")
-    model, _, minutes = train(args.algorithm, args.seed, steps, task=task, **further, **seen)
+    folder = checkpoint.check_new(args.out or f"{recipe.task.lower()}_{args.algorithm.lower()}")
+    model, _, minutes = train(recipe, args.algorithm, args.seed, args.steps)
     print(f"{minutes:.1f} min without the checks")
     if args.algorithm == "TD3":
         model.save(folder)  # a pickle: read only your own
     else:  # a checkpoint holds numbers and text only, is checked against its environment, and runs without torch
-        agents = "joint" if task == SINE and args.algorithm == "PPO" else "shared"
-        checkpoint.save(folder, *converted(model, f"DualUR10/{task}-v0", agents=agents, **seen))
-        settings = " ".join(f"--set '{name}={json.dumps(value)}'" for name, value in seen.items())
-        print(f"python -m dual_ur10 evaluate {task} --policy {folder} {settings}")
+        agents = "joint" if recipe.task == SINE and args.algorithm == "PPO" else "shared"
+        around = model.get_vec_normalize_env()
+        env_id = f"DualUR10/{recipe.task}-v0"
+        checkpoint.save(folder, *converted(model, env_id, agents=agents, vec_normalize=around, **recipe.keywords))
+        settings = " ".join(f"--set '{name}={json.dumps(value)}'" for name, value in recipe.keywords.items())
+        print(f"python -m dual_ur10 evaluate {recipe.task} --policy {folder} {settings}")

@@ -368,19 +368,24 @@ def test_the_starts_for_learners_are_what_the_example_runs():
     example = ast.parse((ROOT / "examples" / "train_with_sb3.py").read_text())
     targets = {ast.unparse(each.targets[0]): each.value for each in example.body if isinstance(each, ast.Assign)}
     targets |= {each.target.id: each.value for each in example.body if isinstance(each, ast.AnnAssign)}
-    numbers = dict(zip(("LIFT_SHORT", "LIFT_STEPS"), _assigned(example, "LIFT_SHORT"), strict=True))
+    recipes = zip(targets["RECIPES"].keys, targets["RECIPES"].values, strict=True)
+    found = {name.value: {each.arg: each.value for each in call.keywords} for name, call in recipes}
     sine, lift = (code for code in blocks(ROOT / "README.md", "python") if "PPO(" in code)
     named, keywords = _start(sine)
     assert named["entries"] == _texts(targets["SETTINGS"])["PPO"]
     assert (named["env"], named["task"], named["cells"]) == ("JointVecEnv", "'SineTracking'", "64")
-    assert keywords == _texts(targets["SEEN"]) | {"max_episode_steps": ast.unparse(targets["SHORT"])}
+    assert keywords == _texts(found["SineTracking"]["keywords"]) | _short(found["SineTracking"])
     assert _texts(targets["CELLS"])["PPO"] == "64"
-    assert named["steps"] == _texts(targets["STEPS"])["PPO"]
+    assert named["steps"] == _texts(found["SineTracking"]["steps"])["PPO"]
     named, keywords = _start(lift)
-    assert named["entries"] == _texts(targets["OBJECTS_SETTINGS"])
+    assert named["entries"] == _texts(targets["OBJECTS_SETTINGS"])["PPO"]
     assert (named["env"], named["task"], named["cells"]) == ("TwoAgentVecEnv", "'Handover'", "64")
-    assert keywords == _texts(targets["LIFT"]) | {"max_episode_steps": numbers["LIFT_SHORT"], "reward": "'individual'"}
-    assert named["steps"] == f"2 * {numbers['LIFT_STEPS']}"
+    assert keywords == _texts(found["lift"]["keywords"]) | _short(found["lift"]) | {"reward": "'individual'"}
+    assert named["steps"] == f"2 * {_texts(found['lift']['steps'])['PPO']}"
+
+
+def _short(recipe):
+    return {"max_episode_steps": ast.unparse(recipe["short"])}
 
 
 def _start(code):
@@ -403,21 +408,9 @@ def _start(code):
     return {"env": env, "task": task, "cells": cells, "entries": entries, "steps": steps}, seen | given[env]
 
 
-def _assigned(module, first):
-    """Return the texts of the values that are assigned together with a name."""
-    (found,) = (
-        each.value.elts
-        for each in module.body
-        if isinstance(each, ast.Assign)
-        and isinstance(each.targets[0], ast.Tuple)
-        and each.targets[0].elts[0].id == first
-    )
-    return [ast.unparse(each) for each in found]
-
-
 def _texts(node):
     """Return a dict of the syntax tree, with the text of each value but those that are dicts of settings."""
-    found = {ast.literal_eval(key): value for key, value in zip(node.keys, node.values, strict=True)}
+    found = {ast.literal_eval(key): value for key, value in zip(node.keys, node.values, strict=True) if key}
     return {
         name: _texts(value) if isinstance(value, ast.Dict) and name.isupper() else ast.unparse(value)
         for name, value in found.items()

@@ -74,16 +74,14 @@ def one_line_errors() -> Iterator[None]:
         raise typer.Exit(USAGE_ERROR) from None
     except KeyboardInterrupt:
         end_interrupted()
-    except OSError as error:  # of a file that was named: its name is too long, say
-        if error.filename is None or hasattr(error, "__notes__"):
-            raise
-        named = escape(f"{error.strerror}: {str(error.filename)!r:.120}")
-        errors.print(f"[bold red]error:[/] [red]{named}[/]", soft_wrap=True)
-        raise typer.Exit(USAGE_ERROR) from None
     except Exception as error:
-        if not any(_STOPPED in note for note in getattr(error, "__notes__", ())):
+        if any(_STOPPED in note for note in getattr(error, "__notes__", ())):
+            traceback.print_exception(error)  # its last line is the note, which says how to go on
+        elif isinstance(error, OSError) and error.filename is not None:  # the name of a file is too long, say
+            named = escape(f"{error.strerror}: {str(error.filename)!r:.120}")
+            errors.print(f"[bold red]error:[/] [red]{named}[/]", soft_wrap=True)
+        else:
             raise
-        traceback.print_exception(error)  # its last line is the note, which says how to go on
         raise typer.Exit(USAGE_ERROR) from None
 
 

@@ -21,6 +21,7 @@ import typer
 from rich.console import Console
 
 from dual_ur10 import ENV_IDS, __version__
+from dual_ur10.cli import main as cli_main
 from dual_ur10.cli import options as cli_options
 from dual_ur10.cli import session as cli_session
 from dual_ur10.emulated.virtual_cell import VirtualCell
@@ -283,6 +284,18 @@ def test_a_bad_argument_is_one_line_and_exit_code_2(arguments: tuple[str, ...], 
     assert message in text
     assert text.count("\n") == 1
     assert "raised from" not in text
+
+
+def test_an_error_of_the_system_that_stopped_both_arms_is_told_as_any_other(capsys: Any) -> None:
+    """A policy that reads files or sockets raises such errors, whose notes say how to go on."""
+    for error in (OSError("the link is gone"), FileNotFoundError(2, "No such file", "weights")):
+        error.add_note("both arms were stopped: the policy failed. Check both")
+        with pytest.raises(typer.Exit) as caught, cli_main.one_line_errors():
+            raise error
+        assert caught.value.exit_code == 2
+        assert capsys.readouterr().err.splitlines()[-1].startswith("both arms were stopped")
+    with pytest.raises(OSError, match="of no file"), cli_main.one_line_errors():
+        raise OSError("of no file")
 
 
 PERSON = """

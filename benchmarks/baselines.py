@@ -12,7 +12,7 @@ Learners:
     dagger: the learned policy that comes with the package; none where none comes.
     bc: behaviour cloning of 50 episodes of the script under noise, with the general settings of `train`.
     act: ACT of 50 episodes of the script under noise, with the settings of `train`.
-    ppo: Stable-Baselines3's PPO with the settings of `examples/train_with_sb3.py`, 200,000 steps on tasks with objects.
+    ppo: Stable-Baselines3's PPO as `examples/train_with_sb3.py` has it for the task; 200,000 steps where it has none.
 """
 
 from __future__ import annotations
@@ -34,7 +34,6 @@ from typing import Any
 from dual_ur10.ids import ENV_IDS, TASKS, env_id_of
 from dual_ur10.policies import evaluate
 from dual_ur10.policies.learned import checkpoint
-from dual_ur10.policies.learned.from_sb3 import converted
 from dual_ur10.policies.registry import shipped_folder, shipped_names
 from dual_ur10.policies.training import state
 from dual_ur10.policies.training.settings import defaults
@@ -89,8 +88,7 @@ def ppo(env_id: str, folder: Path) -> Policy | None:
     found: dict[str, Any] = {"seed": 0}
     if not path.exists():
         model, steps, minutes = example.train(recipe, "PPO", 0, 0 if task in example.RECIPES else PPO_STEPS)
-        agents = "joint" if task == example.SINE else "shared"
-        checkpoint.save(path, *converted(model, env_id, agents=agents, **recipe.keywords))
+        example.save(recipe, "PPO", model, path)
         (folder / "ppo.json").write_text(json.dumps({"steps": steps, "minutes": minutes}))
     return str(path), recipe.keywords, found | json.loads((folder / "ppo.json").read_text())
 

@@ -26,8 +26,6 @@ import train_with_sb3 as example
 from dual_ur10.policies import evaluate
 from dual_ur10.policies.evaluation.results import Evaluation
 from dual_ur10.policies.learned import checkpoint
-from dual_ur10.policies.learned.from_sb3 import converted
-from dual_ur10.policies.learned.manifest import AgentsKind
 from dual_ur10.policies.training import state
 from dual_ur10.policies.training.settings import defaults
 from dual_ur10.policies.training.train import train
@@ -134,9 +132,7 @@ def _stock(
     algorithm, curve = learner.upper(), list[dict[str, float]]()
     model, steps, minutes = example.train(rung, algorithm, seed, curve=curve)
     found = example.measure(rung, algorithm, model, episodes, 0)
-    agents: AgentsKind = "joint" if rung.task == example.SINE and algorithm == "PPO" else "shared"
-    around = model.get_vec_normalize_env()
-    checkpoint.save(place, *converted(model, _env_id(rung), agents=agents, vec_normalize=around, **rung.keywords))
+    example.save(rung, algorithm, model, place)
     return steps, minutes, float(found["success"]), curve
 
 

@@ -10,6 +10,7 @@ import copy
 import dataclasses
 import json
 import math
+import os
 import time
 from typing import Any
 
@@ -25,6 +26,7 @@ from dual_ur10.envs.api.sb3_bridge import CellsVecEnv, JointVecEnv, RewardDiffer
 from dual_ur10.envs.tasks.goal_fields import GOAL_FIELDS
 from dual_ur10.policies.learned import checkpoint
 from dual_ur10.policies.learned.from_sb3 import converted
+from dual_ur10.policies.learned.manifest import AgentsKind
 
 SINE = "SineTracking"
 CELLS = {"PPO": 64, "SAC": 8, "TD3": 8}
@@ -254,6 +256,7 @@ def train(
     unseen = made.columns(name for name in made.cells.core.layout.names if recipe.seen and name not in recipe.seen)
     if recipe.differences:
         env = RewardDifferences(env, chosen["gamma"])
+    if recipe.differences or recipe.scaled:
         env = around = VecNormalize(env, norm_obs=recipe.scaled, gamma=chosen["gamma"])
         if recipe.scaled:
             scale(around, unseen)
@@ -299,6 +302,13 @@ def train(
     return model, model.num_timesteps // rows, minutes
 
 
+def save(recipe: Recipe, algorithm: str, model: BaseAlgorithm, folder: str | os.PathLike[str]) -> None:
+    """Save a model as a checkpoint in a new folder."""
+    agents: AgentsKind = "joint" if recipe.task == SINE and algorithm == "PPO" else "shared"
+    around, env_id = model.get_vec_normalize_env(), f"DualUR10/{recipe.task}-v0"
+    checkpoint.save(folder, *converted(model, env_id, agents=agents, vec_normalize=around, **recipe.keywords))
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("algorithm", nargs="?", default="PPO", choices=list(SETTINGS))
@@ -317,9 +327,6 @@ if __name__ == "__main__":
     if args.algorithm == "TD3":
         model.save(folder)  # a pickle: read only your own
     else:  # a checkpoint holds numbers and text only, is checked against its environment, and runs without torch
-        agents = "joint" if recipe.task == SINE and args.algorithm == "PPO" else "shared"
-        around = model.get_vec_normalize_env()
-        env_id = f"DualUR10/{recipe.task}-v0"
-        checkpoint.save(folder, *converted(model, env_id, agents=agents, vec_normalize=around, **recipe.keywords))
+        save(recipe, args.algorithm, model, folder)
         settings = " ".join(f"--set '{name}={json.dumps(value)}'" for name, value in recipe.keywords.items())
         print(f"python -m dual_ur10 evaluate {recipe.task} --policy {folder} {settings}")

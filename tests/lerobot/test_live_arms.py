@@ -95,8 +95,8 @@ class Approaching(MujocoCell):
     def reset(self, start, rows=None, **others):
         if not self.confirm("They move."):
             raise StartError("the motion was not confirmed")
-        note("moves")
-        try:
+        try:  # Ctrl-C may come as soon as the word is written
+            note("moves")
             for _ in range(self.tenths):
                 time.sleep(0.1)
         except KeyboardInterrupt:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
@@ -17,6 +18,7 @@ Statistics = Mapping[str, Array]
 
 _SIDE: Final = 150  # pixels of an image that statistics are taken of, about
 _LARGE: Final = 300
+_LEVELS: Final = 256
 
 
 def statistics_of(values: NDArray[Any]) -> Statistics:
@@ -70,9 +72,41 @@ def small(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return image[::step, ::step]
 
 
-def image_statistics(images: Iterable[NDArray[np.uint8]]) -> Statistics:
-    """Return the statistics of the channels of images, (h, w, 3), in 0..1, (3, 1, 1) each; the count is of images."""
-    pictures = list(images)
-    found = statistics_of(np.stack(pictures).reshape(-1, 3))
-    result = {name: (value / 255.0).reshape(3, 1, 1) for name, value in found.items() if name != "count"}
-    return {**result, "count": np.array([len(pictures)])}
+class ImageStatistics:
+    """Statistics of the channels of images, in 0..1, in memory that does not grow with their number."""
+
+    def __init__(self) -> None:
+        self._counts = np.zeros((3, _LEVELS), dtype=np.int64)  # of pixels, of each channel and level
+        self._images = 0
+
+    def add(self, image: NDArray[np.uint8]) -> None:
+        """Take an image, (h, w, 3), in."""
+        self._counts += [np.bincount(channel.ravel(), minlength=_LEVELS) for channel in np.moveaxis(image, 2, 0)]
+        self._images += 1
+
+    def result(self) -> Statistics:
+        """Return the statistics, (3, 1, 1) each; the count is of images."""
+        below = self._counts.cumsum(axis=1)
+        pixels = int(below[0, -1])
+
+        def level(rank: int) -> Array:
+            """Return the level of each channel that has this place among its pixels, in order."""
+            found: Array = (below <= rank).sum(axis=1).astype(np.float64)
+            return found
+
+        def quantile(share: float) -> Array:
+            rank = share * (pixels - 1)
+            lower, upper = level(math.floor(rank)), level(math.ceil(rank))
+            return lower + (rank - math.floor(rank)) * (upper - lower)
+
+        levels = np.arange(_LEVELS)
+        mean = self._counts @ levels / pixels
+        found = {
+            "min": level(0),
+            "max": level(pixels - 1),
+            "mean": mean,
+            "std": np.sqrt((self._counts * (levels - mean[:, None]) ** 2).sum(axis=1) / pixels),
+            **{name: quantile(share) for name, share in QUANTILES.items()},
+        }
+        result = {name: (value / (_LEVELS - 1)).reshape(3, 1, 1) for name, value in found.items()}
+        return {**result, "count": np.array([self._images])}

@@ -110,11 +110,15 @@ class DatasetWriter:
             images: Statistics of its images by feature.
 
         Raises:
-            DatasetError: A column is missing, unknown, or of another shape or type.
+            DatasetError: A column is missing, unknown, or of another shape or type, or the task is no text.
             OSError: The disk is full. The end of the context makes a DatasetError of it.
         """
         number, count = len(self.lengths), len(next(iter(columns.values())))
         if task not in self.tasks:
+            try:
+                task.encode()
+            except UnicodeEncodeError as error:
+                raise DatasetError(f"the task is {task!r:.200}, which is no Unicode text ({error.reason})") from error
             self.tasks.append(task)
         frames = np.arange(count)
         whole = {

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from dual_ur10.errors import DatasetError, RecordingError
-from dual_ur10.lerobot.column_statistics import Statistics, image_statistics, sampled, small
+from dual_ur10.lerobot.column_statistics import ImageStatistics, Statistics, sampled, small
 from dual_ur10.lerobot.dataset_writer import OWN, DatasetWriter
 from dual_ur10.lerobot.episode_frames import RecordedView, view_of_run
 from dual_ur10.lerobot.features import DatasetFeature, of_arms, words_of
@@ -198,7 +198,7 @@ def _images(
     """
     count = len(run.episodes[place].reward)
     wanted = set(sampled(count).tolist())
-    pictures: dict[str, list[Any]] = {each: [] for each in cameras}
+    statistics = {each: ImageStatistics() for each in cameras}
     with ExitStack() as stack:
         videos = {
             each: stack.enter_context(ImageVideo(made.video_of(image_key(each)), made.fps, size)) for each in cameras
@@ -211,7 +211,7 @@ def _images(
                 for camera, video in videos.items():
                     video.add(images[camera])
                     if seen in wanted:
-                        pictures[camera].append(small(images[camera]).copy())
+                        statistics[camera].add(small(images[camera]))
             seen += 1
 
         if recorded is None:
@@ -219,7 +219,7 @@ def _images(
         else:
             for images in recorded.images(run, run.episodes[place]):
                 draw(images)
-    return {image_key(each): image_statistics(pictures[each]) for each in cameras}
+    return {image_key(each): found.result() for each, found in statistics.items()}
 
 
 def _simulate(run: Run, place: int, cameras: Sequence[str], size: tuple[int, int], draw: Callable[[Any], None]) -> None:

@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dual_ur10.errors import DatasetError, RecordingError
-from dual_ur10.lerobot.column_statistics import QUANTILES, combined, statistics_of
+from dual_ur10.lerobot.column_statistics import QUANTILES, ImageStatistics, combined, statistics_of
 from dual_ur10.lerobot.dataset_reader import read_dataset
 from dual_ur10.lerobot.features import ACTION, ENV_ACTION, ENVIRONMENT_STATE, STATE
 from dual_ur10.lerobot.lerobot_export import runs_of, to_lerobot
@@ -115,6 +115,18 @@ def test_statistics_of_parts_are_those_of_the_whole(lengths, seed):
     assert (found["q90"] <= found["max"]).all()
 
 
+@given(st.lists(st.sampled_from([(1, 1), (2, 3), (5, 4)]), min_size=1, max_size=4), st.integers(0, 9))
+def test_statistics_of_images_are_those_of_all_their_pixels(sizes, seed):
+    rng, found = np.random.default_rng(seed), ImageStatistics()
+    images = [rng.integers(0, 256, (*size, 3), dtype=np.uint8) for size in sizes]
+    for each in images:
+        found.add(each)
+    whole = statistics_of(np.concatenate([each.reshape(-1, 3) for each in images]))
+    for name, values in found.result().items():
+        expected = len(images) if name == "count" else whole[name].reshape(3, 1, 1) / 255
+        assert np.allclose(values, expected, rtol=1e-12, atol=1e-12), name
+
+
 def test_images_are_those_of_the_same_simulation(made, tmp_path, monkeypatch):
     """A picture per frame, at a constant rate, with statistics of its channels in 0..1."""
     monkeypatch.chdir(tmp_path)
@@ -182,6 +194,7 @@ def test_what_cannot_be_exported_is_refused_and_leaves_nothing(made, tmp_path):
         ([run, wide], RecordingError, r"gripper_stroke_m is \[0\.14, 0\.14\], and \[0\.085, 0\.085\] in the first", {}),
         ([slow], DatasetError, r"a step takes 0\.08 s: .* a whole number", {}),
         ([none], DatasetError, "no episode to export", {}),
+        ([run], DatasetError, r"the task is 'Hand\\udc80', which is no Unicode text", {"task": "Hand\udc80"}),
         ([run], DatasetError, "no episode to export", {"successful": True}),
         ([tmp_path / "absent"], RecordingError, "cannot read", {}),
         ([run], DatasetError, "H.264 takes even sizes", {"cameras": ("front",), "size": (63, 80)}),

@@ -36,6 +36,7 @@ REACHED: Final = 0.9  # of the episodes of a check
 
 
 _STARTS: Final = dict.fromkeys(("lift", "present", "mutual_grasp", "release"), 0.1)
+_IMITATED: Final = {"DAGGER": 23_040, "BC": 23_040}  # steps: a twentieth of those of the whole task
 _SINE, _LIFT, _CARRY, _HANDOVER = (example.RECIPES[name] for name in ("SineTracking", "lift", "SyncCarry", "Handover"))
 
 
@@ -46,7 +47,7 @@ def but(recipe: example.Recipe, changes: dict[str, Any] | None = None, **others:
 
 RUNGS: Final[dict[str, example.Recipe]] = {
     "SineTracking-v0": _SINE,
-    "Handover-v0/lift": _LIFT,
+    "Handover-v0/lift": but(_LIFT, steps=_LIFT.steps | _IMITATED),
     "Handover-v0/lift/25 Hz": but(_LIFT, {"policy_rate_hz": 25.0}, short=200),
     "Handover-v0/lift/turned": but(_LIFT, {"action_mode": "tcp_delta", "object_turn_rad": 0.5236}),
     "Handover-v0/lift/progress": but(_LIFT, {"progress_weight": 20.0}),

@@ -6,8 +6,11 @@ the kinematics of the arms come from the cell file whenever an estimate is made.
 
 from __future__ import annotations
 
+import contextlib
 import datetime
-from collections.abc import Callable
+import fcntl
+import os
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
@@ -17,7 +20,7 @@ from dual_ur10.errors import CalibrationError
 from dual_ur10.sim2real.calibration.board import Board, Intrinsics, calibrated_camera, corners, located, read_image
 from dual_ur10.sim2real.calibration.camera_pose import CornerView
 from dual_ur10.sim2real.calibration.observations import BarPose, BoardView, Carrier, Noise, Observation, Touch
-from ur_core.files import read_named, write_text
+from ur_core.files import check_target, read_named, write_text
 from ur_core.findings import listed
 from ur_core.types import Array
 
@@ -250,6 +253,8 @@ def read(path: str | Path) -> DataFile:
 def append(path: str | Path, entry: TouchEntry | BarEntry | ViewEntry, now: datetime.datetime) -> int:
     """Append an observation to a data file, at once and atomically. The file is made if there is none.
 
+    Programs that append to one file at the same time wait for each other.
+
     Args:
         path: The data file.
         entry: The observation.
@@ -263,10 +268,22 @@ def append(path: str | Path, entry: TouchEntry | BarEntry | ViewEntry, now: date
         DualUR10Error: The file cannot be written.
     """
     path = Path(path)
-    data = read(path) if path.exists() else DataFile()
-    stamped = entry.model_copy(update={"time": now.isoformat(timespec="seconds")})
-    if len(data.observations) >= MAX_OBSERVATIONS:
-        raise CalibrationError(f"{path} has {MAX_OBSERVATIONS} observations, the most of a file: name another file")
-    grown = data.model_copy(update={"observations": (*data.observations, stamped)})
-    write_text(path, grown.model_dump_json(indent=1, exclude_none=True, exclude_defaults=False) + "\n")
+    with _locked(check_target(path).parent):
+        data = read(path) if path.exists() else DataFile()
+        stamped = entry.model_copy(update={"time": now.isoformat(timespec="seconds")})
+        if len(data.observations) >= MAX_OBSERVATIONS:
+            raise CalibrationError(f"{path} has {MAX_OBSERVATIONS} observations, the most of a file: name another file")
+        grown = data.model_copy(update={"observations": (*data.observations, stamped)})
+        write_text(path, grown.model_dump_json(indent=1, exclude_none=True, exclude_defaults=False) + "\n")
     return len(grown.observations)
+
+
+@contextlib.contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Hold a folder locked: a data file itself is replaced whenever it grows."""
+    with contextlib.ExitStack() as opened:
+        with contextlib.suppress(OSError):  # a file system without locks, or a folder that cannot be read
+            number = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+            opened.callback(os.close, number)
+            fcntl.flock(number, fcntl.LOCK_EX)
+        yield

@@ -2,6 +2,7 @@
 
 import datetime
 import json
+import threading
 
 import pytest
 
@@ -25,6 +26,22 @@ def test_observations_are_appended_and_read_back(tmp_path):
     assert [each.time for each in content.observations] == ["2026-01-31T12:00:00+00:00"] * 2
     assert content.measured(tmp_path) == [Touch(Q, Q, (0.0, 0.0, 0.17), (0.0, 0.0, 0.2)), BarPose(Q, Q, "second")]
     assert content.standard_deviations() == Noise()
+
+
+def test_two_programs_that_record_at_the_same_time_lose_nothing(tmp_path, monkeypatch):
+    path, write = tmp_path / "data.json", data_file.write_text
+    other = threading.Thread(target=append, args=(path, TOUCH, NOW))
+
+    def slowly(*arguments):
+        monkeypatch.setattr(data_file, "write_text", write)
+        other.start()
+        other.join(0.2)  # it waits, or has read the file as it was
+        write(*arguments)
+
+    monkeypatch.setattr(data_file, "write_text", slowly)
+    append(path, TOUCH, NOW)
+    other.join()
+    assert len(read(path).observations) == 2
 
 
 def test_noise_board_and_cameras_stay_when_observations_are_appended(tmp_path):

@@ -62,10 +62,10 @@ class PolicyServer:
         token: str | None = None,
     ) -> None:
         try:
-            loopback = ipaddress.ip_address(host).is_loopback
+            parsed = ipaddress.ip_address(host)
         except ValueError:
             raise SettingsError(f"{host!r:.80} is no IP address, such as 127.0.0.1 or 192.168.1.10") from None
-        if not loopback and token is None:
+        if not parsed.is_loopback and token is None:
             raise SettingsError(
                 f"a server on {host} answers other machines: give it a token, with which clients must come"
             )
@@ -77,6 +77,7 @@ class PolicyServer:
                 self._serve,
                 host,
                 port,
+                family=socket.AF_INET if parsed.version == 4 else socket.AF_INET6,
                 max_size=MOST_BYTES,
                 compression=None,
                 close_timeout=_TURN_S,

@@ -180,6 +180,15 @@ def test_other_machines_need_a_token(tmp_path):
         connect(f"remote:ws://127.0.0.1:1?token={file}", EnvSetup.resolve(SINE, {}))
 
 
+def test_an_address_of_ipv6_is_served():
+    try:
+        socket.create_server(("::1", 0), family=socket.AF_INET6).close()
+    except OSError as error:
+        pytest.skip(f"this machine has no such address: {error}")
+    with PolicyServer(Lift(), {}, host="::1", port=0) as server, client(server.address) as one:
+        assert msgspec.msgpack.decode(one.recv()) == {}
+
+
 def run_against(answers, metadata=OURS, **options):
     """Run an episode against a stand-in, and return its executor, the episode's error and what the server received."""
     with stand_in(answers, metadata, **options) as (address, received):

@@ -126,7 +126,7 @@ class RemotePolicy:
                 close_timeout=1.0,
                 proxy=None,
             )
-        except (OSError, websockets.exceptions.WebSocketException) as error:
+        except (OSError, UnicodeError, websockets.exceptions.WebSocketException) as error:  # of the name lab..local
             raise PolicyServerError(f"no policy server at {self.address}: {error}. Is it running?") from error
         found = self._received(_CONNECT_S)
         if not isinstance(found, dict):

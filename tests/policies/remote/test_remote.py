@@ -340,6 +340,8 @@ def test_no_server_is_a_named_error(monkeypatch):
     monkeypatch.setattr(remote_policy, "_CONNECT_S", 0.2)
     with pytest.raises(PolicyServerError, match=r"no policy server at ws://127\.0\.0\.1:9: .*Is it running"):
         load("remote:ws://127.0.0.1:9", SINE)
+    with pytest.raises(PolicyServerError, match=r"no policy server at ws://lab\.\.local:8000: .*label empty"):
+        load("remote:ws://lab..local:8000", SINE)
     with pytest.raises(SettingsError, match="needs an environment"):
         load("remote:ws://127.0.0.1:9")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pydantic
@@ -55,7 +55,7 @@ class WireMapping(pydantic.BaseModel):
     actions: tuple[str, ...] = pydantic.Field(default=(), strict=False)
     action_key: str = "actions"
     gripper: tuple[float, float] = pydantic.Field(default=(-1.0, 1.0), strict=False)
-    state: dict[str, list[str]] = {}
+    state: dict[str, Annotated[list[str], pydantic.Field(min_length=1)]] = {}
     images: dict[str, ImageKey] = {}
     constants: dict[str, str | int | float | bool] = {}
     endpoint: bool = False
@@ -73,6 +73,11 @@ class WireMapping(pydantic.BaseModel):
         unknown = [part for part in named if part not in allowed]
         if unknown or len(set(named)) < len(named):
             raise ValueError(f"actions are {list(self.actions)}: write some of {', '.join(allowed)}, each once")
+        own = ["observation"] * self.is_own + ["endpoint"] * self.endpoint
+        keys = [*own, *self.state, *self.images, *self.constants]
+        for key in keys:
+            if keys.count(key) > 1 or any(each.startswith(f"{key}.") for each in keys):
+                raise ValueError(f"{key!r} is a key twice, or also a dict of others: give each value a key of its own")
         return self
 
     @classmethod

@@ -415,6 +415,10 @@ def test_a_server_with_endpoints_is_reset(tmp_path):
         ("[state]\nx = ['left.speed']", "'left.speed' in the state"),
         ("actions = ['left.gripper']", "this environment's have none"),
         ("[images]\nx = { camera = 'front', layout = 'WHC' }", "layout"),
+        ("[state]\nx = []", "state.x: .* at least 1"),
+        ("[state]\nx = ['left.q_rad']\n'x.y' = ['right.q_rad']", "'x' is a key twice, or also a dict"),
+        ("[state]\nx = ['left.q_rad']\n[constants]\nx = 'prompt'", "'x' is a key twice"),
+        ("[constants]\n'observation.prompt' = 'go'", "'observation' is a key twice"),
     ],
 )
 def test_mappings_that_are_not_legal_are_refused(text, found, tmp_path):

@@ -111,7 +111,6 @@ class Mapped:
         layout: Fields of an observation.
         strokes_m: (2,) largest widths of the grippers.
         grippers: An action has an opening for each gripper.
-        image_shape: (height, width) of observed images.
 
     Raises:
         SettingsError: The mapping names a field that there is not, or the grippers are not moved.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, get_args
 from urllib.parse import parse_qs, urlsplit, urlunsplit
@@ -11,6 +12,7 @@ import numpy as np
 import pydantic
 import websockets.sync.client
 
+from dual_ur10.envs.rendering.pixels import row_of
 from dual_ur10.errors import PolicyError, PolicyServerError, SettingsError
 from dual_ur10.policies.chunks.chunk_policy import CHUNK_MODES, checked_chunk
 from dual_ur10.policies.chunks.executor import executor_for
@@ -271,14 +273,17 @@ class RemoteSteps:
             PolicyServerError: The server is gone, does not answer, or answers with something else.
             ChunkError: It returned no action.
         """
-        if np.ndim(observation) != 2:
+        part = observation
+        while isinstance(part, Mapping):
+            part = next(iter(part.values()))
+        if np.ndim(part) % 2:  # numbers of a cell have one axis, its images three
             return self._action(observation)
-        if len(observation) != 1:
+        if len(part) != 1:
             raise PolicyError(
-                f"{self.__name__} was asked about {len(observation)} cells at once, and its server may keep the state "
+                f"{self.__name__} was asked about {len(part)} cells at once, and its server may keep the state "
                 "of one episode: connect once for each cell"
             )
-        return self._action(observation[0])[None]
+        return self._action(row_of(observation, 0))[None]
 
     def _action(self, observation: Any) -> Array:
         found = self.source.chunk(observation, 0.0)

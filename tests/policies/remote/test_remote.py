@@ -15,6 +15,7 @@ from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.errors import ChunkError, DualUR10Error, PolicyError, PolicyServerError, SettingsError
 from dual_ur10.policies import load, make, rollout
 from dual_ur10.policies.chunks.executor import ChunkExecutor
+from dual_ur10.policies.evaluation.evaluate import evaluate
 from dual_ur10.policies.remote import policy_server, remote_policy
 from dual_ur10.policies.remote.policy_server import PolicyServer
 from dual_ur10.policies.remote.remote_policy import RemoteSteps, connect
@@ -383,6 +384,18 @@ def test_keys_and_layouts_are_those_of_the_mapping(style, tmp_path):
         assert _array(request["observation/gripper_position"]) == pytest.approx(0.0, abs=0.05)
         assert chunk[0, :6] == pytest.approx(state[0, 12:18])  # the other arm stays
         assert chunk[0, [6, 13]] == pytest.approx([1.0, 0.5], abs=0.1)
+
+
+def test_a_server_of_single_actions_gets_the_images_of_one_cell(tmp_path):
+    mapping = tmp_path / "mapping.toml"
+    mapping.write_text("[state]\nq = ['left.q_rad']\n[images]\nseen = { camera = 'front', layout = 'CHW' }\n")
+    metadata = {"dt_s": 0.04, "action_space": "joint_delta", "action_horizon": 1}
+    with stand_in([chunk_of(np.zeros((1, 12)))] * 9, metadata) as (address, received):
+        keywords = {"observation": "both", "width": 24, "height": 16, "duration_s": 0.2}
+        found = evaluate(SINE, f"remote:{address}?mapping={mapping}", episodes=1, env_kwargs=keywords)
+    assert found.episodes[0].steps == len(received) == 5
+    assert received[0]["seen"][b"shape"] == [3, 16, 24]
+    assert _array(received[0]["q"]).shape == (6,)
 
 
 def _array(sent):

@@ -149,7 +149,7 @@ def _count(where: str, values: dict[str, str], side: str) -> SuccessCount:
     numbers = []
     for name in (f"{side}_successes", f"{side}_episodes"):
         text = values[name]
-        if not (text.isascii() and text.isdigit() and int(text[:20]) <= _MOST_EPISODES):
+        if not (text.isascii() and text.isdigit() and len(text) <= 20 and int(text) <= _MOST_EPISODES):
             raise SettingsError(f"{where}: {name} is {text!r:.80}: it must be a whole number")
         numbers.append(int(text))
     successes, episodes = numbers

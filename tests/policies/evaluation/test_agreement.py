@@ -89,6 +89,7 @@ def test_figures_depend_on_no_order_and_ranks_on_no_scale(rates: list[tuple[int,
         (f"{HEAD}\nA,x,90 %,2,1,2\n", "simulation_successes is '90 %': it must be a whole number"),
         (f"{HEAD}\nA,x,1,-2,1,2\n", "simulation_episodes is '-2'"),
         (f"{HEAD}\nA,x,1,{'9' * 5000},1,2\n", "it must be a whole number"),
+        (f"{HEAD}\nA,x,1,{'0' * 5000}2,1,2\n", "it must be a whole number"),
         (f'{HEAD}\nA,"x,1,2,1,2\n', "must be a CSV file in UTF-8"),
     ],
 )

@@ -134,6 +134,10 @@ def evaluate(
     if failures is not None:
         if cell is not None:
             raise SettingsError("--failures is for simulation: on two controllers the record has what happened")
+        try:
+            failures.mkdir(exist_ok=True)
+        except OSError as error:
+            raise SettingsError(f"the folder {failures} cannot be made: {error}. Name another one") from error
         check_video(failures / "x.mp4")
     if power:
         power_on(cell)

@@ -83,7 +83,7 @@ def test_too_few_successes_are_exit_code_1(policy: str, wanted: str, expected: i
         (("SineTracking", "Handover", "--csv", "x"), "--csv is for one task, found DualUR10/SineTracking-v0, Dual"),
         (("SineTracking", "Handover", "--cell", "lab.toml"), "--cell is for one task"),
         (("SineTracking", "DualUR10/SineTracking-v0"), "SineTracking-v0 is named twice"),
-        (("SineTracking", "--failures", "none"), "cannot write none"),
+        (("SineTracking", "--failures", "none/x"), "the folder none/x cannot be made"),
         (("SineTracking", "--failures", ".", "--cell", "lab.toml"), "--failures is for simulation"),
         (("SineTracking", "-p", "remote:ws://127.0.0.1:9"), "127.0.0.1:9"),
     ],
@@ -125,9 +125,11 @@ def test_failed_episodes_are_filmed(monkeypatch: pytest.MonkeyPatch, tmp_path: P
     pytest.importorskip("imageio_ffmpeg")
     filmed: list[tuple[str, Any]] = []
     monkeypatch.setattr(failures, "film", lambda path, shown, **_: filmed.append((path.name, shown)))
-    arguments = ("-n", "3", "--set", "duration_s=0.4", "--failures", str(tmp_path), "--seed", "5")
+    folder = tmp_path / "failed"
+    arguments = ("-n", "3", "--set", "duration_s=0.4", "--failures", str(folder), "--seed", "5")
     code, text = run("SineTracking", "-p", "random", *arguments, "--json", str(tmp_path / "x.json"))
-    assert (code, f"video  3 of 3 failed episodes: {tmp_path}" in text) == (0, True)
+    assert (code, f"video  3 of 3 failed episodes: {folder}" in text) == (0, True)
+    assert folder.is_dir()
     assert [name for name, _ in filmed] == [f"SineTracking-v0-{seed}.mp4" for seed in (5, 6, 7)]
     episodes = json.loads((tmp_path / "x.json").read_text())["episodes"]
     for (_, shown), episode in zip(filmed, episodes, strict=True):

@@ -348,9 +348,14 @@ def executor_for(source: ChunkPolicy, setup: EnvSetup, **options: Any) -> ChunkE
         **options: `latency_s`, `replan_s` and `silent_s` of `ChunkExecutor`.
 
     Raises:
-        SettingsError: The environment's actions are not of joints, or an option is not legal.
+        SettingsError: The environment's actions are not of joints, its observations have images alone, or an option is
+            not legal.
         ChunkError: The source is no chunk policy.
     """
+    if setup.options.observation == "pixels":
+        raise SettingsError(
+            "observation is 'pixels', and a chunk counts from the joint positions of its observation: choose 'both'"
+        )
     task = setup.make_task()
     options.setdefault("latency_s", getattr(source, "latency_s", None))
     return ChunkExecutor(

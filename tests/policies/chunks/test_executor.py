@@ -326,6 +326,8 @@ def test_what_is_no_chunk_policy_is_refused():
         executor_of(lambda observation: observation)
     with pytest.raises(SettingsError, match="chunks are executed as joint positions"):
         make(Sway(), "SineTracking", action_mode="tcp_delta")
+    with pytest.raises(SettingsError, match="observation is 'pixels'"):
+        make(Sway(), "SineTracking", observation="pixels")
     with pytest.raises(SettingsError, match="latency_s is -1"):
         executor_of(Sway(), latency_s=-1)
     with pytest.raises(PolicyError, match="found a chunk policy, of which `make` makes a policy"):

@@ -41,7 +41,7 @@ class CellsVecEnv(VecEnv):
         num_cells: Number of cells, n.
         rows: Number of rows of each cell.
         max_episode_steps: Steps after which episodes are truncated; None: only the task ends them.
-        staggered: The episodes that `reset` begins are truncated after fewer steps, each after another number. Cells
+        staggered: The episodes that `reset` begins are truncated after fewer steps, each after a random number. Cells
             then do not keep step, and every update of a learner sees all parts of the task.
         threads: Number of threads; None: one for each processor.
         render_mode: None or "rgb_array": one image per cell.
@@ -87,6 +87,7 @@ class CellsVecEnv(VecEnv):
             self.cells.close()
             raise
         self._rows_of_a_cell, self._most_steps = rows, (max_episode_steps if staggered else None)
+        self._lengths = np.random.default_rng()  # of staggered episodes; a seed renews it
         self._actions: NDArray[Any] = np.zeros((rows * num_cells, *action.shape), dtype=np.float32)
         super().__init__(rows * num_cells, observation, action)
 
@@ -130,8 +131,10 @@ class CellsVecEnv(VecEnv):
         if self._most_steps is not None:
             horizon = self.cells.core.task.horizon
             most = self._most_steps if horizon is None else min(self._most_steps, horizon)
+            if seeds[0] is not None:
+                self._lengths = np.random.default_rng(seeds[0])
             self.cells.elapsed_steps[:] = self._most_steps - most
-            self.cells.elapsed_steps += np.random.default_rng(seeds[0]).integers(most, size=len(seeds))
+            self.cells.elapsed_steps += self._lengths.integers(most, size=len(seeds))
         self._reset_seeds()
         self.reset_infos = self._infos(info, range(self.cells.num_envs), None)
         return self._observations()

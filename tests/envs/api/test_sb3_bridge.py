@@ -142,6 +142,19 @@ def test_the_generators_continue_and_seeds_are_used_once():
     assert not np.array_equal(*unseeded)
 
 
+def test_a_seed_gives_the_lengths_of_staggered_episodes_of_all_resets():
+    env = TwoAgentVecEnv(SINE, 6, max_episode_steps=50, staggered=True)
+    drawn = []
+    for _ in range(2):
+        env.seed(7)
+        for _ in range(2):
+            env.reset()
+            drawn.append(env.cells.elapsed_steps.tolist())
+    assert drawn[:2] == drawn[2:]
+    assert drawn[0] != drawn[1]
+    env.close()
+
+
 @pytest.mark.parametrize("env_id", IDS)
 def test_ppo_learns_with_one_policy_for_both_arms(env_id):
     env = VecMonitor(

@@ -11,7 +11,7 @@ from gymnasium.utils import RecordConstructorArgs
 from numpy.typing import NDArray
 
 from dual_ur10.envs.api.dual_arm_env import numbers_of
-from dual_ur10.envs.api.two_agents import agent_spaces, check_options
+from dual_ur10.envs.api.two_agents import agent_spaces, check_options, joint_action
 from dual_ur10.errors import ActionError
 from ur_core.kinematics.ur10 import ARMS
 from ur_core.types import Array
@@ -45,6 +45,7 @@ class AgentDictWrapper(gym.Wrapper[dict[str, Array], dict[str, NDArray[Any]], An
         check_options("shared", {"observation": core.options.observation})
         core.keeps_start = True  # the infos of a reset have all keys
         observation, action = agent_spaces(core)
+        self._shape = action[0].shape
         self.observation_space: Any = spaces.Dict(dict(zip(ARMS, observation, strict=True)))
         self.action_space: Any = spaces.Dict(dict(zip(ARMS, action, strict=True)))
 
@@ -64,9 +65,11 @@ class AgentDictWrapper(gym.Wrapper[dict[str, Array], dict[str, NDArray[Any]], An
         Raises:
             ActionError: There is not one action for each agent, or one is malformed. Nothing has moved.
         """
-        if not isinstance(action, dict) or set(action) != set(ARMS):
-            raise ActionError(f"an action must be a dict with one for each of {list(ARMS)}, found {action!r:.200}")
-        joint: Any = np.concatenate([action[arm] for arm in ARMS])
+        try:
+            joint: Any = joint_action(action, self._shape)
+        except ActionError as error:
+            self._core.stop(f"the policy's action was refused: {error}")
+            raise
         _, reward, terminated, truncated, self.info = self.env.step(joint)
         numbers = {name: value for name, value in self.info.items() if name in self._names}
         return self._observation(), reward, terminated, truncated, numbers

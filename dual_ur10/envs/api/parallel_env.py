@@ -13,7 +13,7 @@ from pettingzoo import AECEnv, ParallelEnv  # type: ignore[import-untyped]  # ha
 from pettingzoo.utils.conversions import parallel_to_aec_wrapper  # type: ignore[import-untyped]  # as above
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper  # type: ignore[import-untyped]  # as above
 
-from dual_ur10.envs.api.two_agents import AgentSplitter, agent_spaces, check_options
+from dual_ur10.envs.api.two_agents import AgentSplitter, agent_action, agent_spaces, check_options, joint_action
 from dual_ur10.envs.core.ends import TIME
 from dual_ur10.envs.core.options import MOVE_TO_START, check_count, take_consent
 from dual_ur10.errors import ActionError, ResetNeededError
@@ -177,7 +177,7 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
                 "step was called without a running episode: call reset() first, and again when `agents` is empty"
             )
         try:
-            joint = self._joint(actions)
+            joint = joint_action(actions, self._shape)
         except ActionError as error:
             self._env.core.stop(f"the policy's action was refused: {error}")
             raise
@@ -205,36 +205,13 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
             {_LEFT: left, _RIGHT: right},
         )
 
-    def _joint(self, actions: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
-        if type(actions) is not dict and not isinstance(actions, Mapping):
-            raise ActionError(
-                f"actions must be a dict with an action for each of {list(ARMS)}, found {type(actions).__name__}"
-            )
-        if len(actions) != 2 or _LEFT not in actions or _RIGHT not in actions:
-            missing = [arm for arm in ARMS if arm not in actions]
-            extra = [agent for agent in actions if agent not in ARMS]
-            faults = [f"{what} {names}" for what, names in (("without", missing), ("with unknown", extra)) if names]
-            raise ActionError(
-                f"actions must hold one for each of {list(ARMS)}, found them {' and '.join(faults)}. Nothing was sent"
-            )
-        return np.concatenate((self.check(_LEFT, actions[_LEFT]), self.check(_RIGHT, actions[_RIGHT])))
-
     def check(self, arm: str, action: object) -> NDArray[Any]:
         """Return an agent's action as an array.
 
         Raises:
             ActionError: It has the wrong shape, or holds no numbers. `step` checks that they are finite.
         """
-        try:
-            array = np.asarray(action)
-        except (TypeError, ValueError) as error:
-            raise ActionError(f"the action of {arm!r} must be numbers: {error}. Nothing was sent") from None
-        if array.dtype.kind not in "fiu" or array.shape != self._shape:
-            raise ActionError(
-                f"the action of {arm!r} must be numbers of shape {self._shape}, found {array.dtype} of shape "
-                f"{array.shape}. Nothing was sent"
-            )
-        return array
+        return agent_action(arm, action, self._shape)
 
     def state(self) -> Array:
         """Return the state for a centralised critic: the observation of both arms together, in `state_space`.

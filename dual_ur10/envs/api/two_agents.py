@@ -1,17 +1,22 @@
-"""Common parts of the interfaces for two agents: spaces, rewards and infos as views on the core."""
+"""Common parts of the interfaces for two agents: spaces, actions, rewards and infos as views on the core."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
+import numpy as np
 from gymnasium import spaces
+from numpy.typing import NDArray
 
-from dual_ur10.errors import SettingsError, UnknownNameError
+from dual_ur10.errors import ActionError, SettingsError, UnknownNameError
+from ur_core.kinematics.ur10 import ARMS
 from ur_core.types import Array
 
 if TYPE_CHECKING:
     from dual_ur10.envs.core.core import Core
+
+_LEFT, _RIGHT = ARMS
 
 RewardKind = Literal["shared", "individual", "sparse"]
 """Reward of an agent: "shared", that of both together; "individual", its own, whose mean that is; or
@@ -46,6 +51,44 @@ def _halves(both: spaces.Box) -> list[Any]:
     dtype: Any = both.dtype
     bounds = zip(both.low.reshape(2, -1), both.high.reshape(2, -1), strict=True)
     return [spaces.Box(low, high, dtype=dtype.type) for low, high in bounds]
+
+
+def joint_action(actions: object, shape: tuple[int, ...]) -> NDArray[Any]:
+    """Return the action of both arms from those of the agents, each of a shape.
+
+    Raises:
+        ActionError: One is missing, belongs to no agent, or is malformed.
+    """
+    if type(actions) is not dict and not isinstance(actions, Mapping):
+        raise ActionError(
+            f"actions must be a dict with an action for each of {list(ARMS)}, found {type(actions).__name__}"
+        )
+    if len(actions) != 2 or _LEFT not in actions or _RIGHT not in actions:
+        missing = [arm for arm in ARMS if arm not in actions]
+        extra = [agent for agent in actions if agent not in ARMS]
+        faults = [f"{what} {names}" for what, names in (("without", missing), ("with unknown", extra)) if names]
+        raise ActionError(
+            f"actions must hold one for each of {list(ARMS)}, found them {' and '.join(faults)}. Nothing was sent"
+        )
+    return np.concatenate([agent_action(arm, actions[arm], shape) for arm in ARMS])
+
+
+def agent_action(arm: str, action: object, shape: tuple[int, ...]) -> NDArray[Any]:
+    """Return an agent's action as an array of a shape.
+
+    Raises:
+        ActionError: It has another shape, or holds no numbers.
+    """
+    try:
+        array = np.asarray(action)
+    except (TypeError, ValueError) as error:
+        raise ActionError(f"the action of {arm!r} must be numbers: {error}. Nothing was sent") from None
+    if array.dtype.kind not in "fiu" or array.shape != shape:
+        raise ActionError(
+            f"the action of {arm!r} must be numbers of shape {shape}, found {array.dtype} of shape {array.shape}. "
+            "Nothing was sent"
+        )
+    return array
 
 
 class AgentSplitter:

@@ -12,6 +12,7 @@ from pettingzoo.test.state_test import state_test
 import dual_ur10
 from dual_ur10 import errors
 from dual_ur10.envs import aec_env, parallel_env
+from dual_ur10.envs.api.agent_dict import AgentDictWrapper
 from tests import scripts
 from tests.soak import scaled
 from ur_core.kinematics.ur10 import ARMS
@@ -421,3 +422,21 @@ def test_the_functions_keep_their_names_whatever_is_imported_first(tmp_path):
             "import pickle; assert pickle.loads(pickle.dumps(DualArmParallelEnv)) is DualArmParallelEnv\n"
         )
         scripts.run(path, folder=tmp_path, output=tmp_path / "output")
+
+
+@pytest.mark.parametrize(
+    ("left", "right"),
+    [
+        (np.zeros(5), np.zeros(7)),  # together as many as both
+        (np.zeros((1, 6)), np.zeros((1, 6))),
+        (0.5, np.zeros(6)),
+        ([[0.0], [0.0, 0.0]], np.zeros(6)),
+    ],
+)
+def test_malformed_actions_of_an_agent_in_a_dict_are_refused(left, right):
+    env = AgentDictWrapper(gym.make(SINE))
+    env.reset(seed=0)
+    with pytest.raises(errors.ActionError, match="the action of 'left' must be numbers"):
+        env.step({"left": left, "right": right})
+    env.step({"left": np.zeros(6), "right": np.zeros(6)})
+    env.close()

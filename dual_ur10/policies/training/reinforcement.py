@@ -87,7 +87,9 @@ class Reinforcer:
         if asked.agents == "joint":
             env = JointVecEnv(task, asked.envs, threads=self._threads, **given)
         else:
-            env = TwoAgentVecEnv(task, asked.envs, reward=self._settings.reward, threads=self._threads, **given)
+            # "reward" of a keyword is the environment's, dense or sparse; that of the settings is an arm's.
+            reward = "sparse" if given.pop("reward", None) == "sparse" else self._settings.reward
+            env = TwoAgentVecEnv(task, asked.envs, reward=reward, threads=self._threads, **given)
         try:
             # A resumed training samples new episodes.
             seed = int(np.random.SeedSequence([asked.seed, self.steps]).generate_state(1)[0])

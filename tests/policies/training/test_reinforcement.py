@@ -113,6 +113,15 @@ def test_each_arm_learns_from_the_reward_that_is_asked_for(tmp_path, monkeypatch
     assert any(abs(own[0, 0] - own[0, 1]) > 1e-3 for _, own in seen)
 
 
+@pytest.mark.parametrize("reward", ["dense", "sparse"])
+def test_the_reward_may_be_that_of_the_environments_keyword(tmp_path, monkeypatch, reward):
+    earned = []
+    real = TwoAgentVecEnv.step_wait
+    monkeypatch.setattr(TwoAgentVecEnv, "step_wait", lambda self: earned.append(found := real(self)) or found)
+    train(small("ppo", "shared", steps=64, keywords={"reward": reward}), tmp_path / "out")
+    assert (np.concatenate([each[1] for each in earned]) > 0.0).any() == (reward == "dense")
+
+
 @pytest.mark.parametrize(
     ("agents", "duration_s", "steps"), [("joint", 1.0, 12), ("independent", 1.0, 12), ("joint", 0.32, 8)]
 )

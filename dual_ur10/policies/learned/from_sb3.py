@@ -158,7 +158,7 @@ def converted(
         **keywords: As for `gym.make`, where `env` is an id.
 
     Raises:
-        CheckpointError: A network is of another kind, or does not fit the environment.
+        CheckpointError: A network is of another kind, or it or its actions do not fit the environment.
     """
     each = list(models) if isinstance(models, list | tuple) else [models]
     around = list(vec_normalize) if isinstance(vec_normalize, list | tuple) else [vec_normalize]
@@ -177,6 +177,15 @@ def converted(
     )
     if len(each) != len(manifest.names):
         raise CheckpointError(f"there are {len(each)} models: {agents} has {len(manifest.names)}")
+    for bound in ("low", "high"):
+        stated = np.array(getattr(manifest.signature.action, bound), dtype=np.float32)
+        # "shared" states the action of one arm.
+        learned = np.resize(np.concatenate([getattr(model.action_space, bound) for model in each]), stated.shape)
+        if not np.allclose(learned, stated):
+            raise CheckpointError(
+                f"{bound} of the model's actions is {learned.tolist()!r:.80}, the environment's is "
+                f"{stated.tolist()!r:.80}: pass the keywords of its training, such as action_mode"
+            )
     return [layers for layers, _ in found], manifest
 
 

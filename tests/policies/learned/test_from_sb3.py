@@ -70,6 +70,12 @@ def test_a_converted_policy_acts_as_the_model(algorithm: str, policy: Any, tmp_p
     assert np.abs(expected).max() > 0.5
 
 
+def test_actions_of_another_mode_are_refused() -> None:
+    """Steps of joints would be taken for their positions."""
+    with pytest.raises(CheckpointError, match=r"low of the model's actions is \[-1.0, .*action_mode"):
+        converted(model_of("ppo"), SINE, action_mode="joint_position")
+
+
 def test_observations_are_normalised_as_in_training() -> None:
     from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 

@@ -165,6 +165,12 @@ def converted(
     found = [network_of(model) for model in each]
     if len({shape for _, shape in found}) != 1:
         raise CheckpointError("the two networks look different: train them with the same settings")
+    trained_in = [model.get_vec_normalize_env() for model in each]
+    if vec_normalize is None and any(normaliser_of(one) is not None for one in trained_in):
+        raise CheckpointError(
+            "the model was trained on normalised observations, and vec_normalize is None: pass the VecNormalize, which "
+            "is model.get_vec_normalize_env()"
+        )
     normalisers = [normaliser for one in around if (normaliser := normaliser_of(one)) is not None]
     manifest = Manifest(
         signature=signature_of(env, **keywords),

@@ -49,6 +49,17 @@ def model_of(algorithm: str, inputs: int = 94, outputs: int = 12, seed: int = 0,
     return model
 
 
+def test_a_normaliser_that_is_left_out_is_refused() -> None:
+    from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+    around = VecNormalize(DummyVecEnv([lambda: Spaces(94, 12)]))
+    model = sb3.PPO("MlpPolicy", around, n_steps=8, batch_size=8, device="cpu")
+    with pytest.raises(CheckpointError, match="vec_normalize is None"):
+        converted(model, SINE)
+    around.norm_obs = False
+    assert converted(model, SINE)[1].normalisers == ()
+
+
 @pytest.mark.parametrize(
     ("algorithm", "policy"),
     [

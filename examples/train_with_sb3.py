@@ -321,7 +321,8 @@ if __name__ == "__main__":
     recipe = recipe_of("lift" if args.lift else args.task)
     if recipe.task != SINE and args.algorithm != "PPO":
         parser.error(f"{args.algorithm} has settings for {SINE} alone: choose PPO")
-    folder = checkpoint.check_new(args.out or f"{recipe.task.lower()}_{args.algorithm.lower()}")
+    out = args.out or f"{recipe.task.lower()}_{args.algorithm.lower()}"
+    folder = checkpoint.check_new(f"{out}.zip" if args.algorithm == "TD3" else out)
     model, _, minutes = train(recipe, args.algorithm, args.seed, args.steps)
     print(f"{minutes:.1f} min without the checks")
     if args.algorithm == "TD3":

@@ -58,6 +58,17 @@ def test_stock_learners_train_the_tasks_with_objects_too(tmp_path):
     assert read_manifest(tmp_path / "carry").agents == "shared"
 
 
+def test_the_result_of_td3_is_not_overwritten(tmp_path):
+    pytest.importorskip("stable_baselines3")
+    run = functools.partial(scripts.run, FOLDER / "train_with_sb3.py", folder=tmp_path, output=tmp_path / "output")
+    (tmp_path / "mine.zip").write_text("an earlier one")
+    with pytest.raises(AssertionError, match="nothing is overwritten"):
+        run("TD3", "--steps", "8", "--out", "mine")
+    assert (tmp_path / "mine.zip").read_text() == "an earlier one"
+    run("TD3", "--steps", "8", "--out", "other")
+    assert (tmp_path / "other.zip").exists()
+
+
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("*.py")), ids=lambda path: path.stem)
 def test_it_says_how_to_run_it(path):
     assert f"python examples/{path.name}" in path.read_text().split('"""')[1]

@@ -148,6 +148,6 @@ def _array(value: dict[Any, Any], whose: str) -> Any:
         size = len(data) if isinstance(data, bytes) else type(data).__name__
         raise PolicyServerError(f"{whose} sent an array of {dtype} and shape {shape}, but {size} bytes of it")
     try:
-        return np.frombuffer(data, dtype=kind).reshape(axes)
+        return np.frombuffer(bytearray(data), dtype=kind).reshape(axes)  # a policy may write into its observation
     except ValueError as error:  # of no numbers, beside an axis of any length
         raise PolicyServerError(f"{whose} sent an array of shape {shape!r:.80}: {error}") from None

@@ -91,6 +91,22 @@ def test_single_actions_of_any_mode_are_served():
     env.close()
 
 
+class Scaling(Sway):
+    """Chunk policy that writes into its observation."""
+
+    def chunk(self, observation, time_s):
+        observation *= 0.5
+        return super().chunk(observation, time_s)
+
+
+def test_a_served_policy_may_write_into_its_observation():
+    with server_of(f"{__name__}:Scaling", SINE, port=0) as server:
+        env, policy = make(f"remote:{server.address}", SINE, duration_s=0.4)
+        rollout(env, policy, seed=0)
+        env.close()
+        policy.close()
+
+
 def client(address, **headers):
     return websockets.sync.client.connect(address, additional_headers=headers, compression=None, proxy=None)
 

@@ -23,7 +23,7 @@ START_S: Final = 20.0
 """Time limit of the first image. OpenGL takes seconds to start."""
 
 STALE_S: Final = 0.5
-"""Largest age of an image, unless three periods of the camera are longer."""
+"""Largest age of an image, unless three periods of the camera are longer; those of a video file are not known."""
 
 _STALE_PERIODS: Final = 3.0
 _END_S: Final = 1.0

@@ -82,7 +82,7 @@ def calibrate(
 ) -> None:
     """Estimate where the right base stands in the left one's frame, with its uncertainty. Moves nothing."""
     check_extras(("calibration", "an estimate of the bases"))
-    from dual_ur10.sim2real.analysis.cell_update import doubt_about, write_bases
+    from dual_ur10.sim2real.analysis.cell_update import ACCEPTED_M, doubt_about, write_bases
     from dual_ur10.sim2real.calibration import data_file
     from dual_ur10.sim2real.calibration.estimate import estimate
     from dual_ur10.sim2real.calibration.transforms import right_in_left
@@ -98,7 +98,8 @@ def calibrate(
     tables = _kinematics(cell, kinematics or ())
     dh = (_dh(cell, tables, ARMS[0]), _dh(cell, tables, ARMS[1]))
     if camera is not None:
-        if record is not None or touch is not None or suggest or out is not None:
+        others = record, touch, suggest, out, moved, grasp, accept_m, seed
+        if others != (None, None, False, None, False, "1", ACCEPTED_M, 0):
             raise SettingsError("--camera takes --data, --kinematics and --write alone: leave the others out")
         _calibrate_camera(file, data, camera, cell, dh, write=write)
         return

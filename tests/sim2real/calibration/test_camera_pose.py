@@ -197,5 +197,7 @@ def test_the_command_writes_the_camera_of_a_cell_file(tmp_path):
     code, text = command.run(*arguments, "side", "--write")
     assert code == 2
     assert "has no camera 'side': add a table" in text.replace("\n", " ")
-    code, text = command.run(*arguments, "front", "--suggest")
-    assert "--camera takes --data, --kinematics and --write alone" in text.replace("\n", " ")
+    for other in (("--suggest",), ("--accept-m", "0.0005"), ("--moved",), ("--seed", "1"), ("--grasp", "2")):
+        code, text = command.run(*arguments, "front", "--write", *other)
+        assert code == 2
+        assert "--camera takes --data, --kinematics and --write alone" in text.replace("\n", " ")

@@ -48,6 +48,7 @@ STALE_S: Final = 0.5
 RATE_HZ: Final = 60.0
 """Rate at which a camera is asked."""
 
+_AHEAD_S: Final = 0.1  # by which a tracker of one's own may be ahead
 _ANSWER_S: Final = 2.0
 _UNIT: Final = 1e-3  # tolerance of a unit quaternion's length
 
@@ -155,8 +156,10 @@ class CheckedTracker(ObjectTracker):
         if set(joints) != set(self._prop.joints):
             expected = ", ".join(self._prop.joints) or "none"
             raise LinkError(f"{self._where}: found the joints {', '.join(joints) or 'none'}; expected are {expected}")
-        if not age_s <= STALE_S:
-            raise LinkError(f"{self._where}: the pose is {age_s:.2f} s old; expected is at most {STALE_S:g} s")
+        if not -_AHEAD_S <= age_s <= STALE_S:  # a pose of another clock's time would never grow old
+            raise LinkError(
+                f"{self._where}: the pose is {age_s:.2f} s old; expected is at most {STALE_S:g} s, and no time to come"
+            )
         return ObjectPose(position_m, quat, found.measured_s, joints)
 
     def close(self) -> None:

@@ -152,6 +152,7 @@ class AnyCamera(ObjectTracker):
         (lambda now: ObjectPose(np.zeros(3), QUARTER, now, {"door": 0.0}), "found the joints door"),
         (lambda now: ObjectPose(np.zeros(3), QUARTER, now - 0.6, {"lid": 0.0}), "0.60 s old"),
         (lambda now: ObjectPose(np.zeros(3), QUARTER, np.nan, {"lid": 0.0}), "s old"),
+        (lambda now: ObjectPose(np.zeros(3), QUARTER, 1.7e9, {"lid": 0.0}), "no time to come"),  # time.time()
     ],
 )
 def test_what_a_tracker_of_ones_own_gets_wrong_is_a_lost_tracker(file, system, monkeypatch, answer, text):

@@ -145,7 +145,7 @@ class Mapped:
         for key, parts in self.mapping.state.items():
             _put(found, key, np.concatenate([self._part(fields, part) for part in parts]).astype(np.float32))
         for key, image in self.mapping.images.items():
-            pixels = _image(observation, image.camera)
+            pixels = self._image(observation, image.camera)
             _put(found, key, np.ascontiguousarray(pixels.transpose(2, 0, 1) if image.layout == "CHW" else pixels))
         for key, value in self.mapping.constants.items():
             _put(found, key, value)
@@ -187,6 +187,23 @@ class Mapped:
             return joints.reshape(len(actions), 12)
         return np.concatenate([joints, openings[..., None]], axis=2).reshape(len(actions), 14)
 
+    def _image(self, observation: Any, camera: str) -> Any:
+        """Return the image of a camera, (height, width, 3) uint8.
+
+        Raises:
+            PolicyServerError: The observation has none.
+        """
+        images = observation if isinstance(observation, Mapping) else {}
+        images = images.get("pixels", images)
+        if camera not in images:
+            shown = ", ".join(sorted(set(images) - {"state"})) or "no camera"
+            wanted = tuple(dict.fromkeys(each.camera for each in self.mapping.images.values()))
+            raise PolicyServerError(
+                f"the mapping has an image of the camera {camera!r}, and the observation one of {shown}: use "
+                f"observation='both' and cameras={wanted!r}"
+            )
+        return np.asarray(images[camera])
+
     def _fields(self, observation: Any) -> dict[str, Array]:
         state = observation.get("state") if isinstance(observation, Mapping) else observation
         if state is None or np.size(state) != 2 * self._layout.size:
@@ -209,23 +226,6 @@ class Mapped:
             return np.asarray(fields[name][side], dtype=np.float64)
         closed, opened = self.mapping.gripper
         return np.array([closed + (self._openings(fields)[side] + 1.0) / 2.0 * (opened - closed)])
-
-
-def _image(observation: Any, camera: str) -> Any:
-    """Return the image of a camera, (height, width, 3) uint8.
-
-    Raises:
-        PolicyServerError: The observation has none.
-    """
-    images = observation if isinstance(observation, Mapping) else {}
-    images = images.get("pixels", images)
-    if camera not in images:
-        shown = ", ".join(sorted(set(images) - {"state"})) or "no camera"
-        raise PolicyServerError(
-            f"the mapping has an image of the camera {camera!r}, and the observation one of {shown}: use "
-            f"observation='both' and cameras=({camera!r},)"
-        )
-    return np.asarray(images[camera])
 
 
 def _put(target: dict[str, Any], key: str, value: Any) -> None:

@@ -382,6 +382,9 @@ def test_keys_and_layouts_are_those_of_the_mapping(style, tmp_path):
         observation, _ = env.reset(seed=0)
         state = observation["state"].reshape(2, -1)
         chunk = policy.source.chunk(observation, 0.0)
+        needed = ("front", "left/wrist", "right/wrist") if style == "aloha" else ("front", "right/wrist")
+        with pytest.raises(PolicyServerError, match=re.escape(f"use observation='both' and cameras={needed}")):
+            policy.source.chunk({**observation, "pixels": {"front": observation["pixels"]["front"]}}, 0.0)
         env.close()
         policy.close()
     (request,) = received

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Iterator
 from fractions import Fraction
@@ -14,6 +15,8 @@ from numpy.typing import NDArray
 from dual_ur10.errors import RecordingError
 from dual_ur10.sim2real.cameras.camera_source import Exposure
 from dual_ur10.sim2real.cameras.pyav import pyav
+
+log = logging.getLogger(__name__)
 
 _USE: Final = "the record of a camera"
 _PER_S: Final = 1_000_000  # of the time base
@@ -105,14 +108,20 @@ class VideoRecord:
 def read_video(path: Path) -> Iterator[tuple[float, NDArray[np.uint8]]]:
     """Yield the images of a recorded camera, (height, width, 3), with their times on the run's clock, to 1 µs.
 
+    One that was cut off within an image, as by a full disk, ends before it.
+
     Raises:
         MissingExtraError: PyAV is not installed.
         RecordingError: It is no such video.
     """
-    av = pyav(_USE)
+    av, begun = pyav(_USE), False
     try:
         with av.open(f"file:{path}", options={"protocol_whitelist": "file"}) as file:
             for frame in file.decode(video=0):
                 yield float(frame.pts * frame.time_base), frame.to_ndarray(format="rgb24")
+                begun = True
     except (av.FFmpegError, OSError, ValueError, IndexError, TypeError) as error:
+        if begun and isinstance(error, av.FFmpegError):
+            log.warning("%s is read as far as it is whole: %s", path, error)
+            return
         raise RecordingError(f"{path} is no video of a camera: {error}") from error

@@ -532,6 +532,20 @@ def test_a_video_that_was_cut_off_loses_its_last_second_or_its_last_image(tmp_pa
     video.close()
 
 
+def test_a_video_that_was_cut_off_within_an_image_is_read_up_to_it(tmp_path):
+    path, noise = tmp_path / "it.mp4", np.random.default_rng(0)
+    video = VideoRecord(path, SIZE, 0.0)
+    for number in range(20):
+        video.add(Exposure(noise.integers(0, 256, (*SIZE, 3), dtype=np.uint8), number / 10))
+    video.close()
+    content = path.read_bytes()
+    for part in (0.4, 0.6, 0.8):
+        path.write_bytes(content[: round(part * len(content))])
+        times = [time_s for time_s, _ in read_video(path)]
+        assert len(times) > 20 * part - 4
+        np.testing.assert_allclose(times, np.arange(len(times)) / 10, atol=1e-6)
+
+
 def test_a_video_is_readable_where_its_process_was_killed(tmp_path):
     camera = CameraProcess(request_of(PatternCameraEntry(name="front", rate_hz=10.0)))
     camera.wait_until_ready(LOCAL.clock.now_s() + 20.0)

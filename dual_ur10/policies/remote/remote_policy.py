@@ -203,7 +203,13 @@ class RemotePolicy:
         return self._mapped.chunk(actions.astype(np.float64), observation, self.action_mode)
 
     def _sent(self, request: dict[str, Any]) -> None:
+        """Send a request, unless something has come that would be taken for its answer."""
         try:
+            with contextlib.suppress(TimeoutError):
+                unasked = self._socket.recv(timeout=0)
+                self.close()
+                found = unasked.strip()[-500:] if isinstance(unasked, str) else f"{len(unasked)} bytes"
+                raise PolicyServerError(f"{self.address} sent what nobody asked for: {found}")
             self._socket.send(packed(request))
         except (OSError, websockets.exceptions.ConnectionClosed) as error:
             raise PolicyServerError(f"{self.address} is gone: {error}") from error

@@ -20,8 +20,8 @@ def stand_in(answers, metadata=None, greeting=None):
     """Serve messages, in their order, to one client; yield the address and what was received.
 
     Args:
-        answers: Messages, or functions of the decoded request that return one; None: nothing is sent; Ellipsis: the
-            connection is closed.
+        answers: Messages, or functions of the decoded request that return one; a list: several; None: nothing is sent;
+            Ellipsis: the connection is closed.
         metadata: Content of the first message.
         greeting: First message in place of the metadata.
     """
@@ -34,8 +34,8 @@ def stand_in(answers, metadata=None, greeting=None):
             found = answer(received[-1]) if callable(answer) else answer
             if found is ...:
                 return
-            if found is not None:
-                connection.send(found)
+            for each in found if isinstance(found, list) else [] if found is None else [found]:
+                connection.send(each)
         connection.recv()
 
     with websockets.sync.server.serve(handle, "127.0.0.1", 0, compression=None) as server:

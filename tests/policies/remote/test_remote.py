@@ -278,6 +278,17 @@ def test_a_server_that_does_not_answer_is_given_up(tmp_path):
             policy.source.chunk(np.zeros(94), 0.0)
 
 
+def test_a_second_answer_is_not_taken_for_that_of_the_next_observation():
+    with stand_in([[chunk_of(np.zeros((4, 12)))] * 2, chunk_of(np.ones((4, 12)))], OURS) as (address, _):
+        source = connect(f"remote:{address}", EnvSetup.resolve(SINE, {})).source
+        source.chunk(np.zeros(94), 0.0)
+        assert source._socket.ping().wait(10.0)  # all that was sent before has come
+        with pytest.raises(PolicyServerError, match=r"sent what nobody asked for: \d+ bytes"):
+            source.chunk(np.zeros(94), 0.1)
+        with pytest.raises(PolicyServerError, match="is gone"):
+            source.chunk(np.zeros(94), 0.2)
+
+
 @pytest.mark.parametrize(
     ("options", "text"),
     [

@@ -22,7 +22,9 @@ from dual_ur10.policies.learned.network import MOST_LAYERS, MOST_WIDTH, Activati
 from dual_ur10.policies.learned.schema import StrictJson
 from dual_ur10.policies.learned.signature import view_of
 from dual_ur10.policies.operators.catalog import device_class
+from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.cell.named_cell import resolve_cell
+from dual_ur10.sim2real.recording.header import built
 from ur_core.objects import load_object
 
 Algorithm = Literal["ppo", "sac", "bc", "dagger", "act"]
@@ -487,6 +489,8 @@ class Training(StrictJson):
 
     def __post_init__(self) -> None:
         env_id_of(self.env_id)
+        if isinstance(self.keywords.get("cell"), Mapping):  # as the file of a training holds it
+            object.__setattr__(self, "keywords", {**self.keywords, "cell": _cell_of(self.keywords["cell"])})
         if self.algorithm not in get_args(Algorithm):
             raise UnknownNameError("algorithm", str(self.algorithm), get_args(Algorithm))
         if self.agents not in get_args(AgentsKind):
@@ -544,6 +548,19 @@ class Training(StrictJson):
                 "an operator corrects a policy, and there is none to begin with: name a checkpoint with --init, or a "
                 "dataset of demonstrations with --dataset"
             )
+
+
+def _cell_of(values: Mapping[str, Any]) -> CellConfig:
+    """Return a cell from its values in a file.
+
+    Raises:
+        SettingsError: They make none.
+    """
+    try:
+        cell: CellConfig = built(CellConfig, values)
+    except (ValueError, TypeError, LookupError, AttributeError, OverflowError) as error:
+        raise SettingsError(f"its cell is not legal: {error!s:.200}. It is damaged, or of another version") from error
+    return cell
 
 
 def first_seed_of(seed: int) -> int:

@@ -16,7 +16,7 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
-from dual_ur10 import policies
+from dual_ur10 import ArmMount, CellConfig, Perturbation, policies
 from dual_ur10.errors import CheckpointError, SettingsError, TrainingError, UnknownNameError
 from dual_ur10.policies.learned import checkpoint
 from dual_ur10.policies.training import folder as folders
@@ -136,6 +136,20 @@ def test_an_impossible_state_is_refused(whole, tmp_path, name, value):
     path.write_text(json.dumps({**json.loads(path.read_text()), name: value}))
     with pytest.raises(TrainingError, match=rf"the state in .*\.{name} is "):
         resume(copied)
+
+
+def test_a_training_in_a_cell_of_ones_own_continues_there(tmp_path):
+    cell = CellConfig(left=ArmMount((-0.75, 0.6, 0.0), yaw_rad=0.1), perturbation=Perturbation(mass_scale=1.05))
+    asked = small(keywords={"cell": cell})
+    folders.TrainingFolder.create(tmp_path / "out", asked).close()
+    with closing(folders.TrainingFolder.resume(tmp_path / "out")[0]) as folder:
+        assert folder.training.keywords == asked.keywords
+    path = tmp_path / "out" / "training.json"
+    values = json.loads(path.read_text())
+    values["keywords"]["cell"]["left"] = {"yaw_rad": 0.1}
+    path.write_text(json.dumps(values))
+    with pytest.raises(TrainingError, match="its cell is not legal"):
+        resume(tmp_path / "out")
 
 
 def test_a_training_can_be_extended(short, tmp_path):

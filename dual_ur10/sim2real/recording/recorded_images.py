@@ -93,9 +93,11 @@ class _Playback:
     def at(self, time_s: float) -> NDArray[np.uint8] | None:
         """Return the newest image that is not newer than a time; None: there is none, or it is too old."""
         while self._next is not None and self._next[0] <= time_s + _SLACK_S:
-            if self._now is not None:
-                self._allowed_s = max(_STALE_S, _STALE_PERIODS * (self._next[0] - self._now[0]))
+            before = self._now
             self._now, self._next, self._made = self._next, next(self._frames, None), None
+            one, other = (self._now, self._next) if before is None else (before, self._now)
+            if other is not None:  # the period of the first image is that to the second one
+                self._allowed_s = max(_STALE_S, _STALE_PERIODS * (other[0] - one[0]))
         if self._now is None or time_s - self._now[0] > self._allowed_s:
             return None
         if self._made is None:

@@ -33,6 +33,7 @@ from dual_ur10.sim2real.cell_file.tables import (
     V4l2CameraEntry,
 )
 from dual_ur10.sim2real.recording.reader import read_run
+from dual_ur10.sim2real.recording.recorded_images import RecordedImages
 from dual_ur10.testing import VirtualCell
 from ur_core.processes.system import LOCAL
 
@@ -544,6 +545,17 @@ def test_a_video_that_was_cut_off_within_an_image_is_read_up_to_it(tmp_path):
         times = [time_s for time_s, _ in read_video(path)]
         assert len(times) > 20 * part - 4
         np.testing.assert_allclose(times, np.arange(len(times)) / 10, atol=1e-6)
+
+
+def test_an_image_of_a_slow_camera_lasts_until_the_next_one(tmp_path):
+    video = VideoRecord(tmp_path / video_name("front"), SIZE, 0.0)
+    for number in range(3):
+        video.add(Exposure(np.full((*SIZE, 3), 40 * number, np.uint8), 4.0 * number))
+    video.close()
+    recorded = RecordedImages(tmp_path, ("front",))
+    found = {time_s: recorded.at(time_s) for time_s in (1.5, 3.9, 4.0, 9.0, 21.0)}
+    assert [round(each["front"].mean() / 40) for each in found.values() if each] == [0, 0, 1, 2]
+    assert not found[21.0]  # later than three periods
 
 
 def test_a_video_is_readable_where_its_process_was_killed(tmp_path):

@@ -23,7 +23,7 @@ from dual_ur10.envs.core.options import IMAGE_OPTIONS
 from dual_ur10.errors import DualUR10Error, PolicyError, SettingsError, UnknownNameError
 from dual_ur10.ids import LEARNED_NAMES, TASKS, env_id_of
 from dual_ur10.policies.baselines import BASELINES, RandomPolicy, ZeroPolicy
-from dual_ur10.policies.policy import Policy, as_policy, policy_name
+from dual_ur10.policies.policy import Policy, as_policy, close_policy, policy_name
 from dual_ur10.sim2real.cell.cell_config import CellConfig
 from dual_ur10.sim2real.cell.cell_kinds import CELL_KINDS
 from ur_core.objects import load_object
@@ -429,8 +429,13 @@ def make(
         given = as_policy(executed(policy, lambda: setup_of(env_id, keywords)))
     # Before anything is connected or a folder of the run is made.
     actor = load_named(given, env_id, keywords) if isinstance(given, str | os.PathLike) else given
-    with wrong_types_named(env_id):
-        env = gym.make(env_id, **keywords)
+    try:
+        with wrong_types_named(env_id):
+            env = gym.make(env_id, **keywords)
+    except BaseException:
+        if actor is not given:
+            close_policy(actor)  # a server takes one client at a time
+        raise
     if policy == "random":
         return env, RandomPolicy(env.action_space, seed=seed)
     return env, ZeroPolicy(env.action_space) if actor is None else actor

@@ -119,7 +119,11 @@ def evaluate(
         given = {"record_about": provenance(policy, env_id), **given}
     keywords = {name: value for name, value in given.items() if name not in _RECORD}
     actor = load_named(policy, env_id, keywords)  # before anything is connected or a folder of the run is made
-    env = _make(env_id, 1 if is_alone(policy if actor is None else actor) else min(num_envs, episodes), given)
+    try:
+        env = _make(env_id, 1 if is_alone(policy if actor is None else actor) else min(num_envs, episodes), given)
+    except BaseException:
+        close_policy(actor)  # a server takes one client at a time
+        raise
     try:
         actor = actor_of(policy, env) if actor is None else actor
         core = env.unwrapped.core

@@ -81,6 +81,19 @@ class Lift:
         return np.tile([0.0, 0.0, 0.5, 0.0, 0.0, 0.0], 2)
 
 
+def test_an_environment_that_is_refused_leaves_the_server_free():
+    with server_of("learned", SINE, OPTIONS, port=0) as server:
+        name, held = f"remote:{server.address}", []  # errors hold what their frames had
+        for refused in (
+            lambda: make(name, SINE, widht=3),
+            lambda: evaluate(SINE, name, env_kwargs={"num_envs": 3}),
+            lambda: make(name, SINE, widht=3),
+        ):
+            with pytest.raises(DualUR10Error, match=r"widht|num_envs") as found:
+                refused()
+            held.append(found)
+
+
 def test_single_actions_of_any_mode_are_served():
     keywords = {"duration_s": 0.4, "action_mode": "tcp_delta"}
     with server_of(f"{__name__}:Lift", SINE, keywords, port=0) as server:

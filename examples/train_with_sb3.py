@@ -128,7 +128,7 @@ RECIPES = {
             "policy_rate_hz": 12.5,
             "object_turn_rad": 0.0,
         },
-        steps={"PPO": 250_000, "SAC": 100_000},
+        steps={"PPO": 250_000, "SAC": 40_000},
         short=100,
     ),
     # It follows a path for most of its time: its place counts more, and many small updates follow it closely.
@@ -319,8 +319,8 @@ if __name__ == "__main__":
     parser.add_argument("--out", help="new folder of the checkpoint")
     args = parser.parse_args()
     recipe = recipe_of("lift" if args.lift else args.task)
-    if recipe.task != SINE and args.algorithm != "PPO":
-        parser.error(f"{args.algorithm} has settings for {SINE} alone: choose PPO")
+    if args.algorithm not in recipe.settings:
+        parser.error(f"{args.algorithm} has settings for {SINE} alone: choose {' or '.join(recipe.settings)}")
     out = args.out or f"{recipe.task.lower()}_{args.algorithm.lower()}"
     folder = checkpoint.check_new(f"{out}.zip" if args.algorithm == "TD3" else out)
     model, _, minutes = train(recipe, args.algorithm, args.seed, args.steps)

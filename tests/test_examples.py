@@ -48,14 +48,17 @@ def test_it_runs(name, tmp_path):
         assert "2 episodes" in text
 
 
-def test_stock_learners_train_the_tasks_with_objects_too(tmp_path):
+@pytest.mark.parametrize(
+    ("arguments", "task"), [(("--task", "SyncCarry"), "SyncCarry"), (("SAC", "--lift"), "Handover")]
+)
+def test_stock_learners_train_the_tasks_with_objects_too(arguments, task, tmp_path):
     pytest.importorskip("stable_baselines3")
     run = functools.partial(scripts.run, FOLDER / "train_with_sb3.py", folder=tmp_path)
-    text = run("--task", "SyncCarry", "--steps", "64", "--out", "carry", output=tmp_path / "output")
-    assert f"evaluate SyncCarry --policy {tmp_path / 'carry'} --set 'observation=" in text.splitlines()[-1]
+    text = run(*arguments, "--steps", "64", "--out", "made", output=tmp_path / "output")
+    assert f"evaluate {task} --policy {tmp_path / 'made'} --set 'observation=" in text.splitlines()[-1]
     from dual_ur10.policies.learned.checkpoint import read_manifest
 
-    assert read_manifest(tmp_path / "carry").agents == "shared"
+    assert read_manifest(tmp_path / "made").agents == "shared"
 
 
 def test_the_result_of_td3_is_not_overwritten(tmp_path):

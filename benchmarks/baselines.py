@@ -88,8 +88,8 @@ def ppo(env_id: str, folder: Path) -> Policy | None:
     found: dict[str, Any] = {"seed": 0}
     if not path.exists():
         model, steps, minutes = example.train(recipe, "PPO", 0, 0 if task in example.RECIPES else PPO_STEPS)
-        example.save(recipe, "PPO", model, path)
         (folder / "ppo.json").write_text(json.dumps({"steps": steps, "minutes": minutes}))
+        example.save(recipe, "PPO", model, path)  # last: what is there is whole
     return str(path), recipe.keywords, found | json.loads((folder / "ppo.json").read_text())
 
 

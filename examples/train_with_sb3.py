@@ -31,6 +31,7 @@ from dual_ur10.policies.learned.manifest import AgentsKind
 SINE = "SineTracking"
 CELLS = {"PPO": 64, "SAC": 8, "TD3": 8}
 ARM = 6  # actions
+LAST_SEED = 3_000  # NumPy's end at 2**32
 GRIPPER_STD = 2.0  # times that of the tools: fingers move by centimetres before anything changes
 SETTINGS: dict[str, dict[str, Any]] = {
     "PPO": {
@@ -319,6 +320,8 @@ if __name__ == "__main__":
     parser.add_argument("--out", help="new folder of the checkpoint")
     args = parser.parse_args()
     recipe = recipe_of("lift" if args.lift else args.task)
+    if not 0 <= args.seed <= LAST_SEED:
+        parser.error(f"the seed is {args.seed}: choose one from 0 to {LAST_SEED}")
     if args.algorithm not in recipe.settings:
         parser.error(f"{args.algorithm} has settings for {SINE} alone: choose {' or '.join(recipe.settings)}")
     out = args.out or f"{recipe.task.lower()}_{args.algorithm.lower()}"

@@ -48,7 +48,7 @@ class Worker:
 
     def __init__(self, python: str, library: str, host: str) -> None:
         self._process = subprocess.Popen(
-            [python, "-P", str(WORKER), library, host],
+            [os.path.abspath(python), "-P", str(WORKER), library, host],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,

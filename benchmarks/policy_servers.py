@@ -68,7 +68,7 @@ def server(python):
         finally:
             process.kill()
     return {
-        "metadata": policy.source.metadata,
+        "metadata": policy.source.metadata.model_dump(exclude_defaults=True),
         "splices": policy.splices,
         "steps": record.steps,
         "ended_by": record.ended_by,

@@ -36,7 +36,7 @@ REACHED: Final = 0.9  # of the episodes of a check
 
 
 _STARTS: Final = dict.fromkeys(("lift", "present", "mutual_grasp", "release"), 0.1)
-_IMITATED: Final = {"DAGGER": 23_040, "BC": 23_040}  # steps: a twentieth of those of the whole task
+_IMITATED: Final = {"DAGGER": 23_040, "BC": 23_040}  # steps; the whole task has 460,800 and 115,200
 _SINE, _LIFT, _CARRY, _HANDOVER = (example.RECIPES[name] for name in ("SineTracking", "lift", "SyncCarry", "Handover"))
 
 
